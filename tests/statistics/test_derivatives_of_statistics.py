@@ -30,7 +30,7 @@ STATISTICS = [
     statistics.Correlation(),
     statistics.Sobol("a"),
     statistics.Sobol(("a", "b")),
-    statistics.TotalSobol("b"),
+    statistics.Sobol("b", total=True),
     statistics.Quantile(0.9),
     statistics.CornishFisher(0.99),
     statistics.Probability(above=0.3),

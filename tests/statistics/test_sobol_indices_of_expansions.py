@@ -7,7 +7,7 @@ from small_expansions import basis_of, random_coefficients
 
 from aleator._core.errors import ProblemError
 from aleator.expansion import Expansion, collocate
-from aleator.statistics import Sobol, TotalSobol, prepare
+from aleator.statistics import Sobol, prepare
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 from compiling import compiled
 
@@ -34,9 +34,9 @@ INDICES = {
     Sobol(("x3", "x1")): 0.2436836641,
     Sobol(("x1", "x2")): 0.0,
     Sobol(("x1", "x2", "x3")): 0.0,
-    TotalSobol("x1"): 0.3139051912 + 0.2436836641,
-    TotalSobol("x2"): 0.4424111448,
-    TotalSobol("x3"): 0.2436836641,
+    Sobol("x1", total=True): 0.3139051912 + 0.2436836641,
+    Sobol("x2", total=True): 0.4424111448,
+    Sobol("x3", total=True): 0.2436836641,
 }
 
 
@@ -60,6 +60,6 @@ def test_an_output_that_does_not_vary_has_zero_indices():
 
 def test_an_unknown_variable_is_refused_with_close_matches():
     basis = collocate({"mass": LegendreGerm(), "damping": HermiteGerm()}, Expansion(2)).basis
-    for index in (Sobol(("damping", "mas")), TotalSobol("mas")):
+    for index in (Sobol(("damping", "mas")), Sobol("mas", total=True)):
         with pytest.raises(ProblemError, match=r"no germ variable 'mas'\. Did you mean 'mass'"):
             prepare([index], basis)

@@ -20,7 +20,6 @@ from aleator.statistics import (
     Sobol,
     Std,
     Supremum,
-    TotalSobol,
     Variance,
     prepare,
     root,
@@ -58,7 +57,7 @@ def test_one_value_of_a_sample_that_is_no_number_spoils_its_own_entry_and_no_oth
         assert np.isnan(found).tolist() == [False, True, False], statistic
 
 
-PLAIN = (Std(), Variance(), Skewness(), Kurtosis(), Correlation(), Sobol("a"), TotalSobol("b"))
+PLAIN = (Std(), Variance(), Skewness(), Kurtosis(), Correlation(), Sobol("a"), Sobol("b", total=True))
 
 
 def test_what_is_no_number_or_infinite_spoils_its_entry_and_what_is_constant_has_derivative_zero():

@@ -54,7 +54,7 @@ IMPOSSIBLE = [
     (lambda: al.Density(lambda x: (1 - x) ** -0.5, 0.0, 1.0), "grows without bound towards its end 1.*location"),
     (lambda: al.Density(lambda x: 1 / (1 + x**2), -np.inf, np.inf), "moments"),
     (lambda: al.Normal(1.0, al.Decision(0.0, 0.0)), r"std=Decision\(0 in"),
-    (lambda: al.Decision(1.0, lower=2.0, upper=0.0), "lower=2.0, upper=0.0"),
+    (lambda: al.Decision(1.0, lower=2.0, upper=0.0), "received 2.0 <= 1.0 <= 0.0"),
     (lambda: al.Toleranced(1.0, plus=0.1, minus=-0.1), "in order.*minus=-0.1"),
 ]
 

@@ -1,10 +1,11 @@
 """Models, for all layers: modules that hold numbers, leaves in the place of one, and the names of places."""
 
 import abc
+import dataclasses
 import importlib
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
-from aleator._core.border import real_array, refusal, refuse_not_finite
+from aleator._core.border import a_name, real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
 
 
@@ -83,6 +84,17 @@ class AbstractLeaf(Module):
     """
 
     shared_name: eqx.AbstractVar[str | None]
+
+    def shared(self, name: str) -> Self:
+        """A copy whose placements are all one number, together with any others shared under this name."""
+        return self.with_fields(shared_name=a_name("shared", name))
+
+    def with_fields(self, **changes: Any) -> Self:
+        """A copy with other values in the named fields."""
+        copy = object.__new__(type(self))
+        for field in dataclasses.fields(self):
+            object.__setattr__(copy, field.name, changes.get(field.name, getattr(self, field.name)))
+        return copy
 
     @property
     def is_uncertain(self) -> bool:

@@ -26,9 +26,9 @@ from aleator.statistics import (
     Mean,
     Probability,
     Skewness,
+    Sobol,
     Std,
     Supremum,
-    TotalSobol,
     lines_through,
     points_in_tail,
     tail_proposal,
@@ -350,7 +350,7 @@ def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Z
             zone=zone,
             sensitivity=float(linear.sensitivities[name]),
             linear=float(linear.contributions[name]),
-            total=100 * _number(expanded, TotalSobol(name)) if name in expanded.basis.names else np.nan,
+            total=100 * _number(expanded, Sobol(name, total=True)) if name in expanded.basis.names else np.nan,
         )
         for name, zone in zones.items()
     }

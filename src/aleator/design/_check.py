@@ -38,7 +38,7 @@ from aleator.dynamics import (
     within,
 )
 from aleator.expansion import Expansion, MultiElement
-from aleator.statistics import Sobol, TotalSobol, refuse_correlated
+from aleator.statistics import Sobol, refuse_correlated
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
     AbstractGerm,
@@ -212,10 +212,8 @@ def _check_germs(problem: AbstractProblem) -> None:
     """Refuse Sobol indices of unknown germ variables, and of those in a correlated group."""
     known = list(problem.placements.germ_names)
     for one in statistics_in(problem.expressions):
-        kind = one.kind
-        refuse_correlated(problem.placements.distributions, kind)
-        named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
-        for name in named:
+        refuse_correlated(problem.placements.distributions, one.kind)
+        for name in one.kind.variables if isinstance(one.kind, Sobol) else ():
             if name not in known:
                 raise ProblemError(unknown("germ variable", name, known))
 

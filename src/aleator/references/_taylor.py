@@ -1,6 +1,5 @@
 """Taylor expansions at the means, with exact derivatives: linearisation, and moments of second order."""
 
-import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, final
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, numbers_to_arrays
+from aleator._core.arrays import Pytree, Scalar, in_library, jax_array
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.leaves import Module
@@ -24,14 +23,15 @@ from aleator.uncertainty import (
     Normal,
     Placements,
     SampleGerm,
+    pearson,
     placements,
     realise,
     uncertain_numbers,
     with_distributions,
 )
 
-# Of Gauss quadrature: 4 are exact for moments up to the sixth; their derivatives by the shape of a distribution, and
-# correlations, are no polynomials and need more.
+# Of Gauss quadrature: 4 are exact for moments up to the sixth; their derivatives by the shape of a distribution are no
+# polynomials and need more.
 _NODES = 32
 
 
@@ -194,9 +194,8 @@ def linearise(function: Function, model: Pytree) -> Linearised:
     value or derivative at the means is not finite.
     """
     inputs = Inputs("linearise", function, model)
-    distributions = tuple(inputs.distributions.values())
-    means = _vector([distribution.mean() for distribution in distributions])
-    stds = _vector([distribution.std() for distribution in distributions])
+    means = _vector([distribution.mean() for distribution in inputs.distributions.values()])
+    stds = _vector([distribution.std() for distribution in inputs.distributions.values()])
     outputs = traceable("linearise", inputs.outputs)
 
     def twice(means: Float[Array, " inputs"]) -> tuple[Pytree, Pytree]:
@@ -209,7 +208,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
 
     mean, jacobian = evaluate(with_slopes, means, use=Use.ONCE)
     inputs.refuse_nonfinite((mean, jacobian))
-    library, correlation, stds = in_library(_correlation(distributions), stds)
+    library, correlation, stds = in_library(_correlation(inputs.distributions), stds)
     covariance = jax_array(correlation * library.multiply.outer(stds, stds))
     return Linearised(tuple(inputs.distributions), means, covariance, mean, jacobian)
 
@@ -224,35 +223,12 @@ def _vector(numbers: Sequence[Scalar]) -> Float[Array, " n"]:
     return jax_array(library.stack([library.asarray(number, dtype=float) for number in known]))
 
 
-def _correlation(distributions: Sequence[AbstractDistribution]) -> Float[Array, "inputs inputs"]:
-    """The correlation of the inputs; of correlated ones by Gauss quadrature of their copula."""
+def _correlation(distributions: Mapping[str, AbstractDistribution]) -> Float[Array, "inputs inputs"]:
     matrix: Any = np.eye(len(distributions))
-    for (i, first), (j, second) in itertools.combinations(enumerate(distributions), 2):
-        group, other = first.dependence, second.dependence
-        if group is not None and other is not None and group.group == other.group:
-            factor = jnp.asarray(group.factor)
-            pearson = _pearson(first, second, factor[group.index] @ factor[other.index])
-            matrix = jnp.asarray(matrix).at[jnp.array([i, j]), jnp.array([j, i])].set(pearson)
+    for pair, value in pearson(distributions).items():
+        i, j = map(list(distributions).index, pair)
+        matrix = jnp.asarray(matrix).at[jnp.array([i, j]), jnp.array([j, i])].set(value)
     return matrix
-
-
-def _pearson(first: AbstractDistribution, second: AbstractDistribution, rho: Float[Array, ""]) -> Float[Array, ""]:
-    """The correlation of two numbers whose normal variables have the correlation `rho`."""
-    numbers, rest = eqx.partition(numbers_to_arrays((first, second)), eqx.is_array)
-
-    def correlation(numbers: Pytree, rho: Float[Array, ""]) -> Float[Array, ""]:
-        first, second = eqx.combine(numbers, rest)
-        nodes, weights = map(jnp.asarray, HermiteGerm().gauss(_NODES))
-        left = jax.vmap(first.value_at_normal)(nodes)
-        normals = rho * nodes[:, None] + jnp.sqrt(1 - rho**2) * nodes[None, :]
-        right = jax.vmap(jax.vmap(second.value_at_normal))(normals)
-        # Moments by the same quadrature, so that its error cancels.
-        left = left - weights @ left
-        right = right - weights @ right @ weights
-        both = jnp.sum(weights[:, None] * weights[None, :] * left[:, None] * right)
-        return both / jnp.sqrt((weights @ left**2) * (weights @ right**2 @ weights))
-
-    return evaluate(correlation, numbers, rho, use=Use.ONCE)
 
 
 @final

@@ -3,22 +3,25 @@
 On a box a polynomial lies between its smallest and its largest Bernstein coefficient, and the coefficients at the
 corners are its values there (Garloff, 1993, The Bernstein algorithm). So the largest coefficient is an upper bound,
 which exceeds the maximum by at most a multiple of the square of the box's width. Halving the box with the largest
-bound, again and again, brings the bound down to it; a local search shows how tight it is.
+bound, again and again, brings the bound down to the largest value at a corner.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple, final
+from typing import ClassVar, NamedTuple, TypeAlias, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator.expansion import InElements
-from aleator.statistics._bernstein import Enclosure, Form, enclosure
-from aleator.statistics._roots import extrema, horner
+from aleator._core.arrays import jax_array
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import Module
+from aleator.expansion import AbstractBasis, InElements, PiecewiseBasis, in_each
 from aleator.statistics._statistic import AbstractStatistic, in_blocks
+from aleator.uncertainty import AbstractGerm
 
 # Halving ends at a gap of this part of the range of the Bernstein coefficients, or after this many boxes.
 _CLOSE = 1e-4
@@ -29,11 +32,88 @@ _MOST_NUMBERS = 2**23
 # The sum of the terms' largest absolute values, times this, amply bounds all rounding errors of the bound.
 _ROUNDING = 1e-13
 
-_SWEEPS = 20  # over the variables
-
 # Entries per block: few in a search, because it goes on until the last of them is done.
 _TOGETHER = 16
 _EASY_TOGETHER = 64
+
+# An evaluation holds a few tensors of this many numbers.
+_MOST_COEFFICIENTS = 2**22
+
+
+@final
+class Enclosure(Module):
+    """The Bernstein form of a basis on the box of its germ.
+
+    - `bernstein[i]`: the coefficients of the polynomials of variable `i`, shape (degree + 1, degree + 1), by degree in
+      the columns; `halves[i]`: from the coefficients on a box to those on its lower and upper half;
+    - `indices`: degrees of each term in each variable that occurs; `place`: of each term in the flat tensor of degrees;
+    - `sizes`: a bound on the absolute value of each term.
+    """
+
+    bernstein: tuple[Float[Array, "n n"], ...]
+    halves: tuple[Float[Array, "2 n n"], ...]
+    indices: Int[Array, "terms variables"]
+    place: Int[Array, " terms"]
+    sizes: Float[Array, " terms"]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of a tensor of coefficients."""
+        return tuple(len(matrix) for matrix in self.bernstein)
+
+
+Form: TypeAlias = Enclosure | InElements
+
+
+def enclosure(basis: AbstractBasis) -> Form:
+    """Preparation: the Bernstein form of a basis, of a piecewise one that in each element.
+
+    Raises `ProblemError` if the support is unbounded, or if the Bernstein coefficients need too much memory.
+    """
+    unbounded = [name for name, germ in basis.germs.items() if not np.all(np.isfinite(germ.support()))]
+    if unbounded:
+        raise ProblemError(
+            f"Supremum and infimum: {', '.join(map(repr, unbounded))} can take values without bound, and so can the "
+            "output; use bounded distributions such as Uniform or Beta, or a quantile (for instance .quantile(0.999)) "
+            "instead."
+        )
+    if isinstance(basis, PiecewiseBasis):
+        return in_each(enclosure, basis)
+    active = [i for i, degree in enumerate(basis.degrees) if degree > 0]
+    shape = [basis.degrees[i] + 1 for i in active]
+    if math.prod(shape) > _MOST_COEFFICIENTS:
+        raise ProblemError(
+            f"Supremum and infimum: the Bernstein form in {len(active)} variables has {math.prod(shape)} coefficients, "
+            f"more than {_MOST_COEFFICIENTS}. Use a lower order or fewer variables, or a quantile instead."
+        )
+    germs = list(basis.germs.values())
+    bernstein = [_bernstein(germs[i], basis.degrees[i]) for i in active]
+    indices = basis.indices[:, active]
+    largest = [np.abs(matrix).max(axis=0)[degrees] for matrix, degrees in zip(bernstein, indices.T, strict=True)]
+    return Enclosure(
+        bernstein=tuple(jax_array(matrix) for matrix in bernstein),
+        halves=tuple(jax_array(_halves(basis.degrees[i])) for i in active),
+        indices=jax_array(indices),
+        place=jax_array(indices @ np.array([math.prod(shape[k + 1 :]) for k in range(len(shape))], dtype=int)),
+        sizes=jax_array(np.prod(largest, axis=0) * np.ones(basis.terms)),
+    )
+
+
+def _bernstein(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "n n"]:
+    """The Bernstein coefficients of the orthonormal polynomials of a germ on its support, one in each column."""
+    low, high = germ.support()
+    # At Chebyshev points, which keep the matrix of the Bernstein polynomials well conditioned.
+    at = (1 - np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))) / 2
+    powers = np.arange(degree + 1)
+    choices = np.array([math.comb(degree, k) for k in powers])
+    values = choices * at[:, None] ** powers * (1 - at[:, None]) ** (degree - powers)
+    return np.linalg.solve(values, germ.polynomials(degree, low + (high - low) * at))
+
+
+def _halves(degree: int) -> Float[np.ndarray, "2 n n"]:
+    """De Casteljau's algorithm at the middle, as matrices: exact, because all entries are binary fractions."""
+    lower = np.array([[math.comb(j, k) / 2.0**j for k in range(degree + 1)] for j in range(degree + 1)])
+    return np.stack([lower, lower[::-1, ::-1]])
 
 
 def whole_box(coefficients: Float[Array, " terms"], form: Enclosure) -> Float[Array, "*shape"]:
@@ -58,40 +138,26 @@ def corners(tensor: Float[Array, "*shape"]) -> Float[Array, " corners"]:
     return tensor[tuple(slice(None, None, n - 1) for n in tensor.shape)].ravel()
 
 
-class Reach(NamedTuple):
-    """The result of the search for the largest value.
-
-    - `terms`: the basis polynomials in the largest Bernstein coefficient: the bound is their sum with the coefficients;
-    - `corner`: the point with the largest value among all corners of boxes, from 0 to 1 in each variable.
-    """
-
-    terms: Float[Array, " terms"]
-    corner: Float[Array, " variables"]
-
-
 class _Boxes(NamedTuple):
     """Boxes that cover the support, `number` of them so far.
 
     - `maps[i]`: from Bernstein coefficients on the support to those on each box, shape (boxes, n, n) for variable `i`;
-    - `ends`: lower and upper end, from 0 to 1, shape (boxes, variables, 2);
     - `bounds`: the largest coefficient on each; `bending`: the expected gain of halving each variable;
-    - `attained`, `corner`: the largest value at a corner so far, and where.
+    - `attained`: the largest value at a corner so far.
     """
 
     number: Int[Array, ""]
     maps: tuple[Float[Array, "boxes n n"], ...]
-    ends: Float[Array, "boxes variables 2"]
     bounds: Float[Array, " boxes"]
     bending: Float[Array, "boxes variables"]
     attained: Float[Array, ""]
-    corner: Float[Array, " variables"]
 
 
 def bound(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, " entries"]:
     """Upper bounds of the expansions: their largest Bernstein coefficients, plus a margin for rounding."""
     fixed = jax.lax.stop_gradient(coefficients)
     margin = _ROUNDING * jnp.abs(fixed) @ form.sizes
-    return jnp.sum(coefficients * reach(fixed.at[:, 0].set(0.0), form).terms, axis=1) + margin
+    return jnp.sum(coefficients * reach(fixed.at[:, 0].set(0.0), form), axis=1) + margin
 
 
 def difficulty(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, " entries"]:
@@ -105,8 +171,8 @@ def difficulty(coefficients: Float[Array, "entries terms"], form: Enclosure) -> 
     return jax.vmap(gap)(coefficients)
 
 
-def reach(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Reach:
-    """Search for the largest values of some expansions together. Not differentiable.
+def reach(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, "entries terms"]:
+    """The basis polynomials in the largest Bernstein coefficients of some expansions. Not differentiable.
 
     They share one loop, because a vectorised loop over each of them would copy all its boxes in every step. The search
     ends when the last expansion has its bound; the bounds of the others get tighter meanwhile.
@@ -127,7 +193,7 @@ def reach(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Reach
     return jax.vmap(_result, in_axes=(0, 0, None))(jax.lax.while_loop(unfinished, halve, first), whole, form)
 
 
-def _result(boxes: _Boxes, whole: Float[Array, "*shape"], form: Enclosure) -> Reach:
+def _result(boxes: _Boxes, whole: Float[Array, "*shape"], form: Enclosure) -> Float[Array, " terms"]:
     """The largest coefficient of all boxes, as a linear function of the coefficients of the expansion."""
     best = jnp.argmax(boxes.bounds)
     maps = [matrices[best] for matrices in boxes.maps]
@@ -135,21 +201,18 @@ def _result(boxes: _Boxes, whole: Float[Array, "*shape"], form: Enclosure) -> Re
     terms = jnp.ones(len(form.indices))
     for i, place in enumerate(jnp.unravel_index(largest, form.shape)):
         terms = terms * (maps[i][place] @ form.bernstein[i])[form.indices[:, i]]
-    return Reach(terms, boxes.corner)
+    return terms
 
 
 def _first(whole: Float[Array, "*shape"], count: int) -> _Boxes:
     """The whole support as the first box."""
-    ends = jnp.tile(jnp.array([0.0, 1.0]), (count, whole.ndim, 1))
-    bounds, bending, attained, corner = _facts(whole, ends[0])
+    bounds, bending, attained = _facts(whole)
     return _Boxes(
         number=jnp.asarray(1),
         maps=tuple(jnp.tile(jnp.eye(n), (count, 1, 1)) for n in whole.shape),
-        ends=ends,
         bounds=jnp.full(count, -jnp.inf).at[0].set(bounds),
         bending=jnp.zeros((count, whole.ndim)).at[0].set(bending),
         attained=attained,
-        corner=corner,
     )
 
 
@@ -157,35 +220,27 @@ def _halve(boxes: _Boxes, whole: Float[Array, "*shape"], halves: tuple[Array, ..
     """Halve the box with the largest bound, in the variable in which its coefficients bend most."""
     parent = jnp.argmax(boxes.bounds)
     variable = jnp.argmax(boxes.bending[parent])
-    middle = jnp.mean(boxes.ends[parent, variable])
     children = []
     for half in (0, 1):
         maps = [
             jnp.where(variable == i, halves[i][half] @ maps[parent], maps[parent]) for i, maps in enumerate(boxes.maps)
         ]
-        ends = boxes.ends[parent].at[variable, 1 - half].set(middle)
-        children.append((maps, ends, *_facts(mapped(whole, maps), ends)))
-    for place, (maps, ends, bound, bending, attained, corner) in zip((parent, boxes.number), children, strict=True):
-        better = attained > boxes.attained
+        children.append((maps, *_facts(mapped(whole, maps))))
+    for place, (maps, bound, bending, attained) in zip((parent, boxes.number), children, strict=True):
         boxes = _Boxes(
             number=boxes.number,
             maps=tuple(known.at[place].set(new) for known, new in zip(boxes.maps, maps, strict=True)),
-            ends=boxes.ends.at[place].set(ends),
             bounds=boxes.bounds.at[place].set(bound),
             bending=boxes.bending.at[place].set(bending),
-            attained=jnp.where(better, attained, boxes.attained),
-            corner=jnp.where(better, corner, boxes.corner),
+            attained=jnp.maximum(attained, boxes.attained),
         )
     return boxes._replace(number=boxes.number + 1)
 
 
-def _facts(tensor: Float[Array, "*shape"], ends: Float[Array, "variables 2"]) -> tuple[Array, ...]:
-    """For one box: its bound, the bending in each variable, the largest value at a corner, and that corner."""
-    at_corners = corners(tensor)
-    best = jnp.argmax(at_corners)
-    sides = jnp.stack(jnp.unravel_index(best, (2,) * tensor.ndim))
+def _facts(tensor: Float[Array, "*shape"]) -> tuple[Array, Array, Array]:
+    """For one box: its bound, the bending in each variable, and the largest value at a corner."""
     bending = jnp.stack([_bending(tensor, axis) for axis in range(tensor.ndim)])
-    return jnp.max(tensor), bending, at_corners[best], ends[jnp.arange(tensor.ndim), sides]
+    return jnp.max(tensor), bending, jnp.max(corners(tensor))
 
 
 def _bending(tensor: Float[Array, "*shape"], axis: int) -> Float[Array, ""]:
@@ -196,53 +251,9 @@ def _bending(tensor: Float[Array, "*shape"], axis: int) -> Float[Array, ""]:
     return jnp.where(monotone, 0.0, jnp.max(jnp.abs(second), initial=0.0))
 
 
-def climbed(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, " entries"]:
-    """Large values of the expansions: maximised along each variable in turn, from the best corner."""
-    corners = reach(jax.lax.stop_gradient(coefficients).at[:, 0].set(0.0), form).corner
-    return jax.vmap(_climb, in_axes=(0, 0, None))(coefficients, corners, form)
+class AbstractExtreme(AbstractStatistic):
+    """A bound of the expansion on the support of bounded distributions (dissertation, equation 88)."""
 
-
-def _climb(
-    coefficients: Float[Array, " terms"], start: Float[Array, " variables"], form: Enclosure
-) -> Float[Array, ""]:
-    fixed = jax.lax.stop_gradient(coefficients)
-    variables = len(form.shape)
-
-    def move(step: int, at: Float[Array, " variables"]) -> Float[Array, " variables"]:
-        variable = step % variables
-        along = _along(fixed, form, at, variable)[:, None]
-        candidates = jnp.append(extrema(along)[:, 0], at[variable] * 2 - 1)
-        best = candidates[jnp.argmax(horner(along, candidates[:, None])[:, 0])]
-        return at.at[variable].set((1 + best) / 2)
-
-    at = jax.lax.fori_loop(0, _SWEEPS * variables, move, start)
-    return horner(_along(coefficients, form, at, 0)[:, None], at[None, :1] * 2 - 1)[0, 0]
-
-
-def _along(
-    coefficients: Float[Array, " terms"], form: Enclosure, at: Float[Array, " variables"], variable: int | Array
-) -> Float[Array, " orders"]:
-    """The expansion along one variable through a point, by powers of that variable scaled to [-1, 1]."""
-    orders = jnp.arange(form.powers.shape[1])
-    monomials = (at[:, None] * 2 - 1) ** orders[None]
-    values = jnp.einsum("vm,vmk->vk", monomials, form.powers)
-    variables = jnp.arange(len(at))[None]
-    factors = jnp.where(variables == variable, 1.0, values[variables, form.indices])
-    terms = coefficients * jnp.prod(factors, axis=1)
-    of_degree = form.indices[:, variable][None] == orders[:, None]
-    return form.powers[variable] @ jnp.sum(jnp.where(of_degree, terms[None], 0.0), axis=1)
-
-
-@final
-class Supremum(AbstractStatistic):
-    """An upper bound of the expansion on the support of bounded distributions (dissertation, equation 88).
-
-    It bounds the expansion, not the model, whose values may exceed it where the expansion errs. It is never below the
-    supremum of the expansion, and above it by at most 1e-4 of the range of the Bernstein coefficients, unless the
-    search reaches its limit on boxes; `attained` tells the gap. Its derivative is that of the active coefficient.
-    """
-
-    symbol: ClassVar[str] = "sup"
     speaks_of_one_system: ClassVar[bool] = True
 
     @property
@@ -250,13 +261,33 @@ class Supremum(AbstractStatistic):
     def preparation(self) -> Callable[..., Form]:
         return enclosure
 
+
+@final
+class Supremum(AbstractExtreme):
+    """An upper bound of the expansion on the support of bounded distributions (dissertation, equation 88).
+
+    It bounds the expansion, not the model, whose values may exceed it where the expansion errs. It is never below the
+    supremum of the expansion, and above it by at most 1e-4 of the range of the Bernstein coefficients, unless the
+    search reaches its limit on boxes. Its derivative is that of the active coefficient.
+    """
+
+    symbol: ClassVar[str] = "sup"
+
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Form) -> Float[Array, "*shape"]:
-        return _searched(bound, coefficients, constants)
-
-    def attained(self, coefficients: Float[Array, "terms *shape"], constants: Form) -> Float[Array, "*shape"]:
-        """A value of the expansion, found by local search: the supremum lies between it and the bound."""
-        return _searched(climbed, coefficients, constants)
+        """Entries are grouped by difficulty: a group takes as long as its hardest one."""
+        if isinstance(constants, InElements):
+            elements = constants.division.elements(coefficients)
+            return jnp.max(jax.lax.map(lambda pair: self.of(*pair), (elements, constants.each)), axis=0)
+        if not constants.shape:
+            return coefficients[0]
+        flat = coefficients.reshape(len(coefficients), -1)
+        if flat.shape[1] <= _TOGETHER:
+            return in_blocks(lambda terms: bound(terms, constants), coefficients, _TOGETHER)
+        fixed = jax.lax.stop_gradient(flat)
+        order = jnp.argsort(in_blocks(lambda terms: difficulty(terms, constants), fixed, _EASY_TOGETHER))
+        values = in_blocks(lambda terms: bound(terms, constants), flat[:, order], _TOGETHER)
+        return jnp.zeros(len(values)).at[order].set(values).reshape(coefficients.shape[1:])
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -265,46 +296,16 @@ class Supremum(AbstractStatistic):
 
 
 @final
-class Infimum(AbstractStatistic):
+class Infimum(AbstractExtreme):
     """A lower bound of the expansion on the support of bounded distributions, as `Supremum` is an upper one."""
 
     symbol: ClassVar[str] = "inf"
-    speaks_of_one_system: ClassVar[bool] = True
-
-    @property
-    @override
-    def preparation(self) -> Callable[..., Form]:
-        return enclosure
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Form) -> Float[Array, "*shape"]:
         return -Supremum().of(-coefficients, constants)
 
-    def attained(self, coefficients: Float[Array, "terms *shape"], constants: Form) -> Float[Array, "*shape"]:
-        """The infimum lies between the bound and this value."""
-        return -Supremum().attained(-coefficients, constants)
-
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """The smallest value of the sample, which is never less than the infimum."""
         return jnp.min(values, axis=0)
-
-
-def _searched(
-    search: Callable[[Array, Enclosure], Array],
-    coefficients: Float[Array, "terms *shape"],
-    form: Form,
-) -> Float[Array, "*shape"]:
-    """Search for all entries, grouped by difficulty: a group takes as long as its hardest entry."""
-    if isinstance(form, InElements):
-        elements = form.division.elements(coefficients)
-        return jnp.max(jax.lax.map(lambda pair: _searched(search, *pair), (elements, form.each)), axis=0)
-    if not form.shape:
-        return coefficients[0]
-    flat = coefficients.reshape(len(coefficients), -1)
-    if flat.shape[1] <= _TOGETHER:
-        return in_blocks(lambda terms: search(terms, form), coefficients, _TOGETHER)
-    fixed = jax.lax.stop_gradient(flat)
-    order = jnp.argsort(in_blocks(lambda terms: difficulty(terms, form), fixed, _EASY_TOGETHER))
-    values = in_blocks(lambda terms: search(terms, form), flat[:, order], _TOGETHER)
-    return jnp.zeros(len(values)).at[order].set(values).reshape(coefficients.shape[1:])

@@ -24,7 +24,6 @@ from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
-from aleator.statistics._roots import horner
 from aleator.statistics._statistic import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
@@ -253,6 +252,14 @@ def _cubics(values: Float[Array, "lines nodes"]) -> Float[Array, "4 lines cells"
     values = values[:, 2:-2]
     first, last, rise = slopes[:, :-1], slopes[:, 1:], jnp.diff(values, axis=1)
     return jnp.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
+
+
+def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
+    """The values of polynomials, each at its own points."""
+    value = jnp.broadcast_to(powers[-1][None], x.shape)
+    for coefficient in powers[-2::-1]:
+        value = value * x + coefficient[None]
+    return value
 
 
 def _unit(vectors: Float[Array, "variables n"]) -> Float[Array, "variables n"]:

@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 from aleator._core.arrays import Scalar
 from aleator.statistics._extremes import Infimum, Supremum
 from aleator.statistics._shape import CornishFisher, Kurtosis, Skewness
-from aleator.statistics._sobol import Sobol, TotalSobol
+from aleator.statistics._sobol import Sobol
 from aleator.statistics._statistic import AbstractStatistic, Mean, Std, Variance
 from aleator.statistics._tails import ConditionalValueAtRisk, Probability, Quantile
 
@@ -92,4 +92,4 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
 
         Raises `ProblemError` for correlated and for unknown variables, and for a sample, which does not determine it.
         """
-        return self.statistic(TotalSobol(variable))
+        return self.statistic(Sobol((variable,), total=True))

@@ -1,272 +1,36 @@
-"""The distribution of an output from its expansion, by lines through the normal variables (see `_lines`) or by points.
+"""The distribution of an output from its expansion, and statistics of many outputs, such as the instants of a path.
 
 Small probabilities of either tail come from lines of their own: those for small values of the output, or of its
-negative. A probability is that of the smaller side. First derivatives are exact up to the error of the integral; second
-derivatives are not available.
+negative. A probability is that of the smaller side.
+
+Statistics by lines cost milliseconds each. Of a path only those entries are taken so that a limit may be decided by, a
+few of hundreds; others are taken by points that all outputs share, some hundred times as fast. There is a smooth
+transition.
 """
 
-import abc
-import math
-from collections.abc import Callable
-from typing import ClassVar, NamedTuple, TypeAlias, final
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
-from aleator._core.leaves import Module
-from aleator.statistics._lines import END, Cloud, Lines, LineValues
-from aleator.statistics._roots import horner, root_within, with_slope
-from aleator.statistics._statistic import root
-
-# Of a search for a quantile: most steps, and the width of a bracket at which it ends.
-_MOST_STEPS, _NARROW = 100, 1e-13
+from aleator.statistics._lines import SINGLE, AnyLines, Cloud
+from aleator.statistics._lower_tails import AbstractLowerTail, Cut, lower_tail
+from aleator.statistics._statistic import Std, in_blocks, root
 
 EQUAL = 1e-14
 """Values of an output that differ by this part of its root mean square are equal."""
 
-_NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
-_NODES = _NODES + 0.5
-
-
-class Cut(NamedTuple):
-    """Where an output crosses a threshold, without derivatives.
-
-    - `below`: the probability below the threshold; `density`: of the output there; the rest is of lines alone;
-    - `inside`: the parts of cells that lie below it as a whole;
-    - `fractions`: the probability below the threshold on each line;
-    - `line`, `cell`, `along`: of each crossing, in standard deviations; `densities`: of the output there on its line,
-      zero for places without a crossing;
-    - `start`, `length`: the part of the cell that is below the threshold.
-    """
-
-    below: Float[Array, ""]
-    density: Float[Array, ""]
-    inside: Bool[Array, "2 lines cells"]
-    fractions: Float[Array, " lines"]
-    line: Int[Array, " crossings"]
-    cell: Int[Array, " crossings"]
-    along: Float[Array, " crossings"]
-    densities: Float[Array, " crossings"]
-    start: Float[Array, " crossings"]
-    length: Float[Array, " crossings"]
-
-
-class AbstractLowerTail(Module):
-    """What lies below a threshold, of an output with mean zero, or of its negative.
-
-    `close`: the error of the normal score at which the search for a quantile ends; the last step, which carries the
-    derivative, squares it.
-    """
-
-    close: ClassVar[float]
-
-    std: Float[Array, ""]
-
-    @abc.abstractmethod
-    def cut(self, threshold: Float[Array, ""]) -> Cut:
-        """The output at a threshold. Not differentiable."""
-
-    @abc.abstractmethod
-    def below(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
-        """The probability below a threshold, with derivatives."""
-
-    @abc.abstractmethod
-    def shortfall(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
-        """The expected shortfall below a threshold, zero for values above it."""
-
-    @abc.abstractmethod
-    def error(self, at: Cut) -> Float[Array, ""]:
-        """The 95 % half-width of the probability below a threshold."""
-
-    def quantile(self, level: Scalar) -> tuple[Float[Array, ""], Cut]:
-        """The quantile by the implicit function theorem, and the output there."""
-        end = jax.lax.stop_gradient(jax.lax.stop_gradient(self)._searched(jax.lax.stop_gradient(level)))
-        density = self.slope(end)
-        step = (self.below(end.last, end.cut) - level) / jnp.where(density > 0, density, 1.0)
-        return end.last - jnp.where(density > 0, step, 0.0), end.cut
-
-    def slope(self, end: "Search") -> Float[Array, ""]:
-        """The density at a quantile; zero where it is one of many systems at once."""
-        return end.cut.density
-
-    def _searched(self, level: Scalar) -> "Search":
-        """Newton's method on the normal scale, on which most distribution functions are nearly straight.
-
-        Bisection where a step leaves the bracket or does not halve the error: near an extremum of the output the
-        density is without bound, and steps are short far from the quantile. The first bracket is that of Cantelli's
-        inequality.
-        """
-        target, reach = normal_score(level), 1.01 * self.std
-        low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
-
-        def unfinished(state: Search) -> Bool[Array, ""]:
-            is_wide = state.high - state.low > _NARROW * self.std
-            return (jnp.abs(state.off) > self.close) & is_wide & (state.steps < _MOST_STEPS)
-
-        def narrow(state: Search) -> Search:
-            at = state.following
-            cut = self.cut(at)
-            is_low = cut.below < level
-            low, high = jnp.where(is_low, at, state.low), jnp.where(is_low, state.high, at)
-            score = normal_score(cut.below)
-            off = jnp.where(jnp.isfinite(score), score - target, jnp.inf)
-            newton = at - off * _normal(score) / cut.density
-            usable = (newton > low) & (newton < high) & (jnp.abs(off) <= jnp.abs(state.off) / 2)
-            following = jnp.where(usable, newton, (low + high) / 2)
-            return Search(low, high, following, at, off, cut, state.steps + 1)
-
-        start = jnp.clip(self.std * target, low, high)
-        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(self.cut, start))
-        first = Search(low, high, start, start, jnp.asarray(jnp.inf), nothing, jnp.zeros((), int))
-        return jax.lax.while_loop(unfinished, narrow, first)
-
-
-class Search(NamedTuple):
-    """The state of the search for a quantile: a bracket, the thresholds to come and last, how far the normal score of
-    the last one is off, and the output there.
-    """
-
-    low: Float[Array, ""]
-    high: Float[Array, ""]
-    following: Float[Array, ""]
-    last: Float[Array, ""]
-    off: Float[Array, ""]
-    cut: Cut
-    steps: Int[Array, ""]
-
-
-@final
-class TailByLines(AbstractLowerTail):
-    """The probability below a threshold as the mean over lines.
-
-    - `signed`: the coefficients of the output or of its negative; `values`: its values along the lines;
-    - `ends`, `heights`: places in each cell between which the output rises or falls, and its values there;
-    - `masses`: the probability of each such interval on its line.
-    """
-
-    close: ClassVar[float] = 1e-7
-
-    signed: Float[Array, " terms"]
-    values: LineValues
-    ends: Float[Array, "3 lines cells"]
-    heights: Float[Array, "3 lines cells"]
-    masses: Float[Array, "2 lines cells"]
-    lines: Lines
-
-    @classmethod
-    def of(cls, signed: Float[Array, " terms"], lines: Lines) -> "TailByLines":
-        """That of an output with mean zero."""
-        values = lines.along(signed)
-        fixed = jax.lax.stop_gradient(values.cubics)
-        _, slope, bend, rest = fixed
-        # A cubic between ends with slopes of different signs has one extremum there.
-        turns = slope * (slope + 2 * bend + 3 * rest) < 0
-        radicand = root(bend**2 - 3 * rest * slope)
-        larger = -(bend + jnp.where(bend < 0, -1.0, 1.0) * radicand)
-        near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
-        middle = jnp.where(turns, jnp.clip(jnp.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
-        ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
-        along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
-        masses = -jnp.diff(_beyond(along), axis=0)
-        return cls(root(jnp.sum(signed**2)), signed, values, ends, horner(fixed, ends), masses, lines)
-
-    @override
-    def cut(self, threshold: Float[Array, ""]) -> Cut:
-        is_below = self.heights < threshold
-        low, high = is_below[:-1], is_below[1:]
-        _, count, cells = self.heights.shape
-        (intervals,) = jnp.nonzero((low != high).ravel(), size=self.lines.orders * count, fill_value=low.size)
-        at = jnp.minimum(intervals, low.size - 1)
-        cell, line = at % cells, (at // cells) % count
-        left, right = (side.ravel()[at] for side in (self.ends[:-1], self.ends[1:]))
-        is_falling = high.ravel()[at]
-        cubic = self.values.cubics[:, line, cell].at[0].add(-threshold)
-        place = root_within(cubic, left[None], right[None], ~is_falling[None], (left + right)[None] / 2)[0]
-        start, end = jnp.where(is_falling, place, left), jnp.where(is_falling, right, place)
-        step, first = self.lines.step, self.lines.first_of(cell)
-        along = first + place * step
-        is_crossing = intervals < low.size
-        parts = jnp.where(is_crossing, _beyond(first + start * step) - _beyond(first + end * step), 0.0)
-        inside = low & high
-        whole = jnp.sum(jnp.where(inside, self.masses, 0.0), axis=(0, 2))
-        slope = jnp.abs(with_slope(cubic, place[None])[1][0]) / step
-        regular = is_crossing & (slope > 0)
-        densities = jnp.where(regular, _normal(along) / jnp.where(regular, slope, 1.0), 0.0)
-        fractions = whole + jax.ops.segment_sum(parts, line, count)
-        weights = self.values.weights.ravel() / len(self.values.weights)
-        length = jnp.where(is_crossing, end - start, 0.0)
-        density = weights[line] @ densities
-        return Cut(weights @ fractions, density, inside, fractions, line, cell, along, densities, start, length)
-
-    @override
-    def below(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
-        """Its derivative is that of the output at the crossings times the density there."""
-        points = self.values.points[:, at.line] + jnp.outer(self.values.direction, at.along)
-        heights = self.lines.values(self.signed, points) - threshold
-        change = heights - jax.lax.stop_gradient(heights)
-        weights = self.values.weights.ravel()
-        return (weights @ at.fractions - (weights[at.line] * at.densities) @ change) / len(self.values.weights)
-
-    @override
-    def shortfall(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
-        """It is zero at the crossings, so that their movement does not contribute to its derivative."""
-        inside = jnp.where(at.inside, self.ends[1:] - self.ends[:-1], 0.0)
-        everywhere = self.lines.first_of(jnp.arange(self.heights.shape[2]))[None, None]
-        cubics, weights, step = self.values.cubics, self.values.weights.ravel(), self.lines.step
-        whole = _shortfall(cubics, self.ends[:-1], inside, everywhere, threshold, step)
-        first = self.lines.first_of(at.cell)[None]
-        parts = _shortfall(cubics[:, at.line, at.cell], at.start[None], at.length[None], first, threshold, step)[0]
-        return (weights @ jnp.sum(whole, axis=(0, 2)) + weights[at.line] @ parts) / len(self.values.weights)
-
-    @override
-    def error(self, at: Cut) -> Float[Array, ""]:
-        """By the scatter of the replicates: all of them together are more accurate, as parts of one net.
-
-        Zero where one line is exact.
-        """
-        weights = self.values.weights
-        replicates = len(weights)
-        if replicates == 1:
-            return jnp.zeros(())
-        each = jnp.sum(weights * at.fractions.reshape(weights.shape), axis=1) / jnp.sum(weights, axis=1)
-        covers = float(scipy.special.stdtrit(replicates - 1, 0.975)) / math.sqrt(replicates)
-        return covers * jnp.std(each, ddof=1)
-
-
-def _shortfall(
-    cubic: Float[Array, "4 ..."], start: Array, length: Array, first: Array, threshold: Array, step: float
-) -> Array:
-    """The integral of the shortfall over a part of each cell, by Gauss's rule."""
-    total = jnp.zeros(start.shape)
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        place = start + node * length
-        density = weight * length * step * _normal(first + place * step)
-        total = total + density * (threshold - horner(cubic, place))
-    return total
-
-
-def _ratio(above: Array, below: Array) -> Array:
-    return jnp.where(below == 0, 2.0, above / jnp.where(below == 0, 1.0, below))
-
-
-def _normal(at: Array) -> Array:
-    return jnp.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
-
-
-def _beyond(at: Array) -> Array:
-    """The probability of a normal variable beyond a number, where lines have their small values, as far as lines go."""
-    outside = math.erfc(END / math.sqrt(2)) / 2
-    return (jax.lax.erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
-
-
-def normal_score(probability: Scalar) -> Array:
-    """The normal quantile of a probability."""
-    return math.sqrt(2) * jax.lax.erf_inv(2 * jnp.asarray(probability) - 1)
+# Points are evaluated for so many entries at once.
+_TOGETHER = 64
+# By how many standard deviations an entry may be apart from the one that decides to be taken by lines alone; more for a
+# tail further out, about which the mean and the spread say less (from Cornish and Fisher's second term).
+_NEAR, _NEARER = 0.1, 0.125
 
 
 @final
@@ -378,3 +142,95 @@ class OutputDistribution(NamedTuple):
         # By the derivative of the mean beyond a quantile by the level.
         slope = jnp.abs(away - quantile) / (level if lower else 1 - level)
         return Estimate(self.coefficients[0] + sign * away, tail.error(at) * slope)
+
+
+def rows_of(
+    kinds: Sequence[Any], coefficients: Sequence[Float[Array, "terms *shape"]]
+) -> Float[Array, "columns entries"]:
+    """The coefficients of all entries of some paths, followed by the numbers of their statistics."""
+    each = []
+    for kind, terms in zip(kinds, coefficients, strict=True):
+        numbers = [jnp.full((1, *terms.shape[1:]), number, dtype=float) for number in jax.tree.leaves(kind)]
+        each.append(jnp.concatenate([terms, *numbers]).reshape(len(terms) + len(numbers), -1))
+    return jnp.concatenate(each, axis=1)
+
+
+def _split(structure: Any, rows: Float[Array, "columns *n"]) -> tuple[Any, Float[Array, "terms *n"]]:
+    terms = len(rows) - structure.num_leaves
+    return jax.tree.unflatten(structure, list(rows[terms:])), rows[:terms]
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 3))
+def statistics_of_rows(
+    structure: Any, rows: Float[Array, "columns entries"], lines: AnyLines, paths: int
+) -> Float[Array, " entries"]:
+    """The statistic of each entry of some paths of one length, with kinds of one structure."""
+    return _evaluated(_of_row, structure, rows, lines, paths)[0]
+
+
+@statistics_of_rows.defjvp
+def _with_tangents(
+    structure: Any, paths: int, primals: tuple[Array, AnyLines], tangents: tuple[Array, Any]
+) -> tuple[Array, Array]:
+    """The gradient is found once, together with the statistic: a tangent costs one sum."""
+    results = _evaluated(jax.value_and_grad(_of_row, argnums=1), structure, *primals, paths)
+    return results[0], jnp.sum(results[1:] * tangents[0], axis=0)
+
+
+def estimate_of_row(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Estimate:
+    """The statistic of an entry, and its error."""
+    kind, terms = _split(structure, row)
+    return kind.of_distribution(OutputDistribution(terms, tail_of))
+
+
+def _of_row(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Float[Array, ""]:
+    return estimate_of_row(structure, row, tail_of).value
+
+
+def _evaluated(
+    function: Callable[..., Any], structure: Any, rows: Array, lines: AnyLines, paths: int
+) -> Float[Array, "results entries"]:
+    """The results of a function of each row."""
+    entries = rows.shape[1] // paths
+    lines, of_row = lines.for_one_of(entries), partial(function, structure)
+    if entries <= SINGLE:
+        return by_lines(of_row, rows, lines)
+    kinds, terms = jax.tree.map(lambda each: each.reshape(*each.shape[:-1], paths, -1), _split(structure, rows))
+    apart, away = kinds.apart(terms[0], Std().of(terms, ()))
+    share = jnp.nan_to_num(jnp.clip(2 - apart / (_NEAR + _NEARER * away**2), 0.0, 1.0)).ravel()
+    share = jax.lax.stop_gradient(share**2 * (3 - 2 * share))
+    by_points = jax.vmap(lambda row: _flat(of_row(row, partial(TailByPoints.of, cloud=lines.cloud))))
+    coarse = in_blocks(by_points, rows, _TOGETHER).T
+    fine = by_lines(of_row, rows, lines, (coarse, jnp.argsort(-share), jnp.sum(share > 0)))
+    return coarse + share[None] * (fine - coarse)
+
+
+def _flat(results: Any) -> Float[Array, " results"]:
+    return jnp.hstack(jax.tree.leaves(results))
+
+
+def by_lines(
+    function: Callable[[Float[Array, " columns"], TailOf], Any],
+    rows: Float[Array, "columns entries"],
+    lines: AnyLines,
+    some: tuple[Float[Array, "results entries"], Int[Array, " entries"], Int[Array, ""]] | None = None,
+) -> Float[Array, "results entries"]:
+    """The results of a function of each row by lines, one after the other.
+
+    - `some`: the results of other rows, an order, and how many of the first in this order are taken.
+    """
+
+    def each(row: Float[Array, " columns"]) -> Float[Array, " results"]:
+        return _flat(function(row, partial(lower_tail, lines=lines)))
+
+    count = rows.shape[1]
+    if count == 1:
+        return each(rows[:, 0])[:, None]
+    if some is None:
+        return jax.lax.map(each, rows.T).T
+    results, order, taken = some
+
+    def evaluate(k: Int[Array, ""], results: Array) -> Array:
+        return results.at[:, order[k]].set(each(rows[:, order[k]]))
+
+    return jax.lax.fori_loop(0, taken, evaluate, results)

@@ -150,17 +150,21 @@ def _sorted(first: np.ndarray, second: np.ndarray, target: np.ndarray, values: n
     return Square(*columns, terms=count)
 
 
-@final
-class Skewness(AbstractStatistic):
-    """The skewness `E[(y - mean)^3] / std^3`: zero for a normal distribution, and where the output does not vary."""
-
-    symbol: ClassVar[str] = "Skew"
-    dimensionless: ClassVar[bool] = True
+class AbstractOfPowers(AbstractStatistic):
+    """A statistic by third and fourth powers of an expansion."""
 
     @property
     @override
     def preparation(self) -> Callable[..., Powers]:
         return powers
+
+
+@final
+class Skewness(AbstractOfPowers):
+    """The skewness `E[(y - mean)^3] / std^3`: zero for a normal distribution, and where the output does not vary."""
+
+    symbol: ClassVar[str] = "Skew"
+    dimensionless: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
@@ -172,16 +176,11 @@ class Skewness(AbstractStatistic):
 
 
 @final
-class Kurtosis(AbstractStatistic):
+class Kurtosis(AbstractOfPowers):
     """The kurtosis `E[(y - mean)^4] / std^4`, not the excess: 3 for a normal distribution, zero if nothing varies."""
 
     symbol: ClassVar[str] = "Kurt"
     dimensionless: ClassVar[bool] = True
-
-    @property
-    @override
-    def preparation(self) -> Callable[..., Powers]:
-        return powers
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
@@ -193,7 +192,7 @@ class Kurtosis(AbstractStatistic):
 
 
 @final
-class CornishFisher(AbstractStatistic):
+class CornishFisher(AbstractOfPowers):
     """An approximate quantile from the first four moments: smooth, cheap, and accurate if nearly normal.
 
     Source: Cornish and Fisher (1938), Moments and cumulants in the specification of distributions.
@@ -205,11 +204,6 @@ class CornishFisher(AbstractStatistic):
 
     def __init__(self, level: Scalar):
         self.level = level_given("CornishFisher", level)
-
-    @property
-    @override
-    def preparation(self) -> Callable[..., Powers]:
-        return powers
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:

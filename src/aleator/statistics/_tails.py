@@ -3,7 +3,7 @@
 All use the expansion along lines through the space of normal variables (see `_lines`). In one variable they are exact
 to about 1e-8, in two to 1e-4 of a probability. In more, probabilities of one output between 1e-7 and one have relative
 errors of some percent, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
-their tail. Entries of a path use fewer lines, or points (see `_entries`).
+their tail. Entries of a path use fewer lines, or points (see `_output_distribution`).
 """
 
 import abc
@@ -21,9 +21,18 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
-from aleator.statistics._entries import by_lines, estimate_of_row, rows_of, statistics_of_rows
 from aleator.statistics._lines import AnyLines, lines_through
-from aleator.statistics._output_distribution import EQUAL, Estimate, OutputDistribution, TailOf, normal_score
+from aleator.statistics._lower_tails import normal_score
+from aleator.statistics._output_distribution import (
+    EQUAL,
+    Estimate,
+    OutputDistribution,
+    TailOf,
+    by_lines,
+    estimate_of_row,
+    rows_of,
+    statistics_of_rows,
+)
 from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
 
 # A spread that is no more than this part of a distance counts as none.

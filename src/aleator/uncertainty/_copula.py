@@ -11,12 +11,16 @@ import itertools
 from collections.abc import Mapping
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from aleator._core.arrays import Pytree, Scalar, in_library, numbers_to_arrays
 from aleator._core.border import a_name, real, real_array, refusal
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
 from aleator.uncertainty._distribution import AbstractDistribution
@@ -64,7 +68,7 @@ def correlated(
     factor = np.linalg.cholesky(normal)
     group = "~".join(members) if name is None else a_name("correlated: name", name)
     return {
-        member: distribution.correlated(Dependence(group, members, index, factor))
+        member: distribution.with_fields(dependence=Dependence(group, members, index, factor))
         for index, (member, distribution) in enumerate(distributions.items())
     }
 
@@ -90,11 +94,10 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
     """The correlations as a matrix, in the order of the members."""
     count = len(members)
     if not isinstance(correlations, Mapping):
-        matrix = real_array("Correlations", correlations, "plain numbers")
+        expected = f"a number for each pair by its names, or a matrix of shape ({count}, {count})"
+        matrix = real_array("correlations", correlations, expected)
         if matrix.shape != (count, count):
-            raise ProblemError(
-                f"A correlation matrix of {count} distributions has shape ({count}, {count}); received {matrix.shape}."
-            )
+            raise refusal("correlations", expected, correlations)
         return matrix
     matrix = np.eye(count)
     named: set[frozenset[str]] = set()
@@ -113,29 +116,15 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
 
 def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) -> None:
     """Refuse anything but a correlation matrix, naming the entry or the eigenvalue."""
-
-    def refuse(what: str, wrong: np.ndarray, remedy: str) -> None:
-        if np.any(wrong):
-            i, j = map(int, np.argwhere(wrong)[0])
-            raise ProblemError(f"{what}: received {matrix[i, j]:g} for '{members[i]}' and '{members[j]}'. {remedy}")
-
-    refuse("Correlations are finite numbers", ~np.isfinite(matrix), "Give a number between -1 and 1.")
-    off_diagonal = ~np.eye(len(members), dtype=bool)
-    refuse(
-        "A correlation matrix has ones on its diagonal",
-        ~off_diagonal & (np.abs(matrix - 1) > 1e-12),
-        "Give correlations, not covariances; the spread belongs to the distributions.",
-    )
-    refuse(
-        "A correlation matrix is symmetric",
-        np.abs(matrix - matrix.T) > 1e-12,
-        "Give both entries of the pair the same number.",
-    )
-    refuse(
-        "Correlations lie between -1 and 1, without the ends",
-        off_diagonal & (np.abs(matrix) >= 1),
-        "Reduce it, or use `shared` for numbers that are always equal.",
-    )
+    possible = np.where(np.eye(len(members)), np.abs(matrix - 1) <= _ROUNDING, np.abs(matrix) < 1)
+    wrong = ~(possible & (np.abs(matrix - matrix.T) <= _ROUNDING))
+    if wrong.any():
+        i, j = map(int, np.argwhere(wrong)[0])
+        raise ProblemError(
+            "correlations: expected a symmetric matrix with ones on its diagonal and numbers between -1 and 1 "
+            f"elsewhere (`shared` makes two numbers always equal); received {matrix[i, j]:g} for '{members[i]}' and "
+            f"'{members[j]}', {matrix[j, i]:g} for '{members[j]}' and '{members[i]}'."
+        )
     _refuse_indefinite(matrix, "These correlations contradict each other: no random variables have them")
 
 
@@ -152,7 +141,7 @@ def _nataf(
     distributions: Mapping[str, AbstractDistribution], pearson: Float[np.ndarray, "n n"]
 ) -> Float[np.ndarray, "n n"]:
     """Correlations of the normals that give the distributions the correlations `pearson`."""
-    standard = {member: _standard_values(distribution) for member, distribution in distributions.items()}
+    standard = {member: _standard_values(one.initial()) for member, one in distributions.items()}
     normal = np.eye(len(distributions))
     for (i, first), (j, second) in itertools.combinations(enumerate(distributions), 2):
         if pearson[i, j] != 0:
@@ -161,18 +150,23 @@ def _nataf(
     return normal
 
 
-def _standard_values(distribution: AbstractDistribution) -> Float[np.ndarray, " n"]:
+def _standard_values(distribution: AbstractDistribution) -> Float[Array, " n"]:
     """The distribution's standardised values (zero mean, unit standard deviation) at `_NORMALS`."""
-    shape = distribution.concrete_shape()
-    with jax.ensure_compile_time_eval():
-        values = np.asarray(jax.jit(jax.vmap(lambda normal: distribution.from_normal(normal, shape)))(_NORMALS))
-    values = values - _PROBABILITIES @ values
-    return values / np.sqrt(_PROBABILITIES @ values**2)
+    numbers, rest = eqx.partition(numbers_to_arrays(distribution), eqx.is_array)
+
+    def standardised(numbers: Pytree) -> Float[Array, " n"]:
+        one = eqx.combine(numbers, rest)
+        shape = one.canonical().shape
+        values = jax.vmap(lambda normal: one.from_normal(normal, shape))(_NORMALS)
+        values = values - _PROBABILITIES @ values
+        return values / jnp.sqrt(_PROBABILITIES @ values**2)
+
+    return evaluate(standardised, numbers, use=Use.ONCE)
 
 
-def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *, names: tuple[str, str]) -> float:
+def _normal_correlation(wanted: float, first: Array, second: Array, *, names: tuple[str, str]) -> float:
     """The normals' correlation that gives the standardised values `first` and `second` the correlation `wanted`."""
-    correlation = _correlation_of(first, second)
+    correlation = np.polynomial.Polynomial(_mehler(first, second))
     lowest, highest = correlation(-1.0), correlation(1.0)
     if not lowest < wanted < highest:
         raise ProblemError(
@@ -182,22 +176,23 @@ def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *,
     return scipy.optimize.root_scalar(lambda rho: correlation(rho) - wanted, bracket=(-1.0, 1.0), xtol=1e-15).root
 
 
-def _correlation_of(first: np.ndarray, second: np.ndarray) -> np.polynomial.Polynomial:
-    """Pearson's correlation of standardised values, as a polynomial in that of their normals (Mehler's formula)."""
+def _mehler(first: Float[Array, " n"], second: Float[Array, " n"]) -> Any:
+    """Pearson's correlation of standardised values as a polynomial in that of their normals, by rising powers."""
+    _, first, second = in_library(first, second)
     hermite = HermiteGerm().polynomials(_TERMS, _NORMALS)
-    return np.polynomial.Polynomial(((_PROBABILITIES * first) @ hermite) * ((_PROBABILITIES * second) @ hermite))
+    return ((_PROBABILITIES * first) @ hermite) * ((_PROBABILITIES * second) @ hermite)
 
 
-def pearson(distributions: Mapping[str, AbstractDistribution]) -> dict[tuple[str, str], float]:
-    """Pearson's correlation of each two distributions that a group correlates, by their names; of plain numbers."""
+def pearson(distributions: Mapping[str, AbstractDistribution]) -> dict[tuple[str, str], Scalar]:
+    """Pearson's correlation of each two distributions that a group correlates, by their names.
+
+    A JAX function of their parameters; of decisions there are none left.
+    """
     correlations = {}
     members = {name: member.dependence for name, member in distributions.items() if member.dependence is not None}
     standard = {name: _standard_values(distributions[name]) for name in members}
     for (first, member), (second, other) in itertools.combinations(members.items(), 2):
-        if member.group != other.group:
-            continue
-        factor = np.asarray(member.factor)
-        normal = float(factor[member.index] @ factor[other.index])
-        if abs(normal) > _ROUNDING:
-            correlations[first, second] = float(_correlation_of(standard[first], standard[second])(normal))
+        if member.group == other.group:
+            library, factor, terms = in_library(member.factor, _mehler(standard[first], standard[second]))
+            correlations[first, second] = library.polyval(terms[::-1], factor[member.index] @ factor[other.index])
     return correlations

@@ -1,7 +1,6 @@
 """`AbstractDistribution`: an uncertain number of a model; the base class of all families."""
 
 import abc
-import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, NamedTuple, Self
@@ -19,7 +18,7 @@ from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
 from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
-from aleator.uncertainty._decision import AbstractDecision
+from aleator.uncertainty._decisions import AbstractDecision
 from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
 # Probability levels at which methods of a user's own distribution are compared, and the tolerance by its spread.
@@ -107,18 +106,7 @@ class AbstractDistribution(AbstractLeaf):
 
     def at_mean(self, held: bool = True) -> Self:
         """The same distribution, held at its mean or again uncertain."""
-        return self._with(held=held)
-
-    def shared(self, name: str) -> Self:
-        """A copy whose placements are all one random variable, together with any others shared under this name."""
-        return self._with(shared_name=a_name("shared", name))
-
-    def _with(self, **changes: Any) -> Self:
-        """A copy with other values in the named fields."""
-        copy = object.__new__(type(self))
-        for field in dataclasses.fields(self):
-            object.__setattr__(copy, field.name, changes.get(field.name, getattr(self, field.name)))
-        return copy
+        return self.with_fields(held=held)
 
     def _names(self) -> tuple[str, ...]:
         """The parameters' names in their declared order, which a dict loses when JAX flattens it."""
@@ -232,7 +220,7 @@ class AbstractDistribution(AbstractLeaf):
             name: choose(name, value) if isinstance(value, AbstractDecision) else value
             for name, value in self.parameters.items()
         }
-        return self._with(parameters=chosen)
+        return self.with_fields(parameters=chosen)
 
     @property
     def decisions(self) -> dict[str, AbstractDecision]:
@@ -295,10 +283,6 @@ class AbstractDistribution(AbstractLeaf):
     def _constant_shape(self) -> tuple[Scalar, ...]:
         with jax.ensure_compile_time_eval():
             return self.form.canonical(**constant(self.initial().parameters)).shape
-
-    def correlated(self, dependence: Dependence) -> Self:
-        """The same distribution as a member of a group of correlated distributions: see the function `correlated`."""
-        return self._with(dependence=dependence)
 
     def germ_names(self, place: str) -> tuple[str, ...]:
         """The germ variables on which it depends when placed at `place`.

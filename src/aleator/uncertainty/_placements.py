@@ -19,9 +19,12 @@ from aleator._core.border import refusal, refuse_missing
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, AbstractPlanned, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
-from aleator.uncertainty._decision import AbstractDecision, start_given
+from aleator.uncertainty._decisions import AbstractDecision, start_given
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import AbstractGerm, Dependence
+
+# Correlations up to this are zeros.
+_UNCORRELATED = 1e-12
 
 
 def at_means(model: Pytree) -> Pytree:
@@ -250,9 +253,8 @@ def _decided(
 def correlations_at(places: Placements, decisions: Float[np.ndarray, " n"]) -> dict[tuple[str, str], float]:
     """Pearson's correlations of a model's distributions, by pairs of names, at given decisions; no zeros."""
     at = jnp.asarray(decisions)
-    return pearson(
-        {name: _decided(distribution, name, places, at) for name, distribution in places.distributions.items()}
-    )
+    decided = {name: _decided(distribution, name, places, at) for name, distribution in places.distributions.items()}
+    return {pair: float(value) for pair, value in pearson(decided).items() if abs(value) > _UNCORRELATED}
 
 
 def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:

@@ -96,8 +96,6 @@ def _message(name: str, leaf: Any, least: float | None) -> str:
             f"received {type(leaf).__name__} {leaf!r}. Give a number."
         )
     is_known = isinstance(leaf, AbstractDistribution) and not any(map(is_leaf, leaf.parameters.values()))
-    if isinstance(leaf, Toleranced) and is_known:
-        return _message_of_tolerance(name, leaf)
     reach = "is unbounded below" if least == -np.inf else f"can reach {least:g}"
     remedy = _replacement(leaf) if is_known else "Raise its lower bound, or those of the decisions in it."
     return f"'{name}' must stay positive, but {leaf} {reach}. {remedy}"
@@ -108,22 +106,18 @@ def _replacement(leaf: AbstractDistribution) -> str:
     mean, spread = float(leaf.mean()), float(leaf.std())
     if not mean > 0:
         return "Give a distribution above zero."
-    if isinstance(leaf, Normal | TruncatedNormal):
+    if isinstance(leaf, Normal | TruncatedNormal | Toleranced):
         location, scale = (float(leaf.parameters.get(*one)) for one in (("location", mean), ("scale", spread)))
-        upper = float(leaf.parameters.get("upper", np.inf))
+        if isinstance(leaf, Toleranced):
+            lower, upper = map(float, leaf.limits())
+            without = "its tolerance zone"
+        else:
+            lower, upper = location - _FAR * scale, float(leaf.parameters.get("upper", np.inf))
+            without = f"{_FAR} standard deviations below"
         end = f", upper={upper:.9g}" if upper < np.inf else ""
-        if (lower := location - _FAR * scale) > 0:
+        if lower > 0:
             return (
                 f"Write TruncatedNormal(location={location:.9g}, scale={scale:.9g}, lower={lower:.9g}{end}), which "
-                f"leaves out what is further than {_FAR} standard deviations below."
+                f"leaves out what is further than {without}."
             )
     return f"Write LogNormal(mean={mean:.9g}, std={spread:.9g}), which has the same mean and standard deviation."
-
-
-def _message_of_tolerance(name: str, leaf: Toleranced) -> str:
-    (lower, upper), location, scale = leaf.limits(), leaf.mean(), leaf.std()
-    return (
-        f"'{name}' must stay positive, but {leaf} is a normal distribution, and so unbounded below. If no part outside "
-        f"its limits is used, write TruncatedNormal(location={location:.9g}, scale={scale:.9g}, lower={lower:.9g}, "
-        f"upper={upper:.9g}); or declare the number without positive=True."
-    )

@@ -29,7 +29,6 @@ from aleator.statistics import (
     Sobol,
     Std,
     Supremum,
-    TotalSobol,
     Variance,
 )
 from aleator.validation._batches import Batch, Sums
@@ -66,7 +65,7 @@ def evidence_of(solution: Solution, systems: Systems, whole: Batch, seed: int, s
         statistics={
             atom.text(): _checked(solution, atom, [known[one] for one in atom.functionals])
             for atom in statistics_in(problem.expressions)
-            if all(one in known for one in atom.functionals) and not isinstance(atom.kind, Sobol | TotalSobol)
+            if all(one in known for one in atom.functionals) and not isinstance(atom.kind, Sobol)
         },
         trajectories=tuple(
             Trajectories(
