@@ -50,8 +50,12 @@ def square(x):
     return x**2
 
 
+def square_each(items):
+    return [square(one) for one in items]
+
+
 def done(executor: Executor, count: int = 2) -> dict[int, int]:
-    calls = [{"x": float(x)} for x in range(count)]
+    calls = {x: {"x": float(x)} for x in range(count)}
     return dict(each_done(executor, square, calls, [f"at x = {x}" for x in range(count)]))
 
 
@@ -82,9 +86,10 @@ def test_results_are_those_of_their_items_in_order_though_the_last_ends_first():
 
 def test_warnings_and_refusals_of_workers_are_told_with_their_place(travelling: Executor):
     with pytest.warns(al.GridWarning, match=r"^at x = 2: rough$"):
-        assert done(travelling, 3) == {0: 0, 1: 1, 2: 4}
+        found = done(travelling, 4)
+    assert (found.pop(3).args, found) == (("three is refused",), {0: 0, 1: 1, 2: 4})
     with pytest.raises(al.ProblemError, match="three is refused"):
-        next(each_done(travelling, square, [{"x": 3}], ["at x = 3"]))
+        list(each_of(travelling, square_each, [1, 3], {}, "a test"))
 
 
 UNBELIEVED = {
