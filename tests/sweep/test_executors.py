@@ -167,6 +167,14 @@ def test_a_front_by_an_executor_and_its_evidence_are_those_of_here(tmp_path: Pat
     assert again.objectives.tobytes() == front.objectives.tobytes()
 
 
+def test_a_journal_says_what_lost_workers_have_left_undone(tmp_path: Path):
+    with al.journal(tmp_path), pytest.raises(al.SimulationError, match="its worker died"):
+        al.pareto(bar_problem(), "stress", VALUES[:2], executor=Lost(1, OSError("gone")))
+    states = [one.state.value for one in al.load(tmp_path).entries]
+    assert len(states) == 2
+    assert {"failed"} <= {*states} <= {"done", "failed"}
+
+
 @pytest.mark.parametrize(("method", "traced"), [("monte_carlo", True), ("quasi_monte_carlo", False)])
 def test_samples_by_an_executor_are_those_of_this_process_to_the_last_bit(travelling: Executor, method, traced: bool):
     model = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
