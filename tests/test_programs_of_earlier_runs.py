@@ -39,9 +39,9 @@ for model, numbers in json.load(sys.stdin):
 print(json.dumps(answers))
 """
 
-# The objective is (gain * scale * (1 + shift) * x - 6)², and x is decided.
+# The objective is (2 scale x - 6)², and x is decided.
 MODEL = """
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -49,10 +49,6 @@ import numpy as np
 
 import aleator as al
 import numbers_of_a_model
-
-SHIFT = 0.0
-TABLE = {"unit": 1.0}
-
 
 @jax.custom_jvp
 def square(x):
@@ -62,22 +58,12 @@ def square(x):
 square.defjvp(lambda x, dx: (square(*x), 2.0 * x[0] * dx[0]))
 
 
-def scaled(x, by=1.0):
-    return by * numbers_of_a_model.SCALE * x
-
-
-def shifted(amount):
-    return lambda x: x * (1.0 + amount)
-
-
 class Gain(al.AlgebraicSystem):
-    gain: ClassVar[float] = 2.0
-
     x: Any
     noise: Any
 
     def outputs(self):
-        y = TABLE["unit"] * shifted(SHIFT)(scaled(self.gain * self.x)) * (1.0 + self.noise)
+        y = numbers_of_a_model.SCALE * (2.0 * self.x) * (1.0 + self.noise)
         return {"miss": square(y - 6.0)}
 
 
@@ -91,19 +77,13 @@ solution = al.solve(problem, throw=False)
 
 
 EDITS = {
-    "global": (("SHIFT = 0.0", "SHIFT = 1.0"), 4.0),
-    "table": (('{"unit": 1.0}', '{"unit": 0.5}'), 1.0),
-    "default": (("by=1.0", "by=2.0"), 4.0),
-    "function": (("return lambda x: x * (1.0 + amount)", "return lambda x: x / (2.0 + amount)"), 1.0),
-    "class attribute": (("gain: ClassVar[float] = 2.0", "gain: ClassVar[float] = 4.0"), 4.0),
     "rule of differentiation": (("2.0 * x[0]", "1.5 * x[0]"), 2.0),
     "method": (("square(y - 6.0)", "square(y - 3.0)"), 4.0),
 }
 WIDER = ("half_width=1e-3", "half_width=0.1")
 CALLED = (
-    "self.gain * self.x)",
-    'jax.pure_callback(np.asarray, jax.ShapeDtypeStruct((), float), 1.0, vmap_method="sequential")'
-    " * self.gain * self.x)",
+    "(2.0 * self.x)",
+    '(jax.pure_callback(np.asarray, jax.ShapeDtypeStruct((), float), 1.0, vmap_method="sequential") * 2.0 * self.x)',
 )
 
 

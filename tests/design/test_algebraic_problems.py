@@ -22,7 +22,7 @@ def test_an_algebraic_problem_prints_as_mathematics():
     problem = tolerance_problem(X.at_most(1.1, sigmas=2.0))
     assert str(problem) == "\n".join(
         [
-            "minimise    (1 + 0.5/a.half_width)",
+            "minimise    (0.5/a.half_width + 1)",
             "over        a.half_width ∈ [0.01, 1.5], from 0.2",
             "subject to  x: μ[x] + 2 σ[x] ≤ 1.1",
             "where       a ~ Uniform(mean=2, half_width=Decision(0.2 in [0.01, 1.5]))",

@@ -80,19 +80,6 @@ def test_functionals_are_shown_as_mathematics():
     assert shown == ["∫y dt", "rms(y)", "y(t_f)", "y(t)", "max|y(t)|"]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (lambda: Y.mean <= W, r"'∫w dt' differs between realisations"),
-        (lambda: bool(Y.mean), "An expression has no truth value"),
-        (lambda: 0 <= Y.mean <= 1, "chain such as 'lower <= y <= upper' does not work"),
-    ],
-)
-def test_expressions_refuse_what_makes_no_sense(wrong, message):
-    with pytest.raises(al.ProblemError, match=message):
-        wrong()
-
-
 def test_sigmas_are_scaled_to_the_largest_multiple_and_the_rest_in_proportion():
     expression = Y.mean + 2 * Y.std - 0.5 * W.std + 3
     assert expression.sigmas == 2.0
@@ -138,22 +125,22 @@ FUNCTIONS = {
     "a cost with a power": (
         al.cost.reciprocal_power("a", bias=0.5, scale=3.0, power=1.5),
         lambda a, b: 0.5 + 3.0 / a**1.5,
-        "(0.5 + 3/a^1.5)",
+        "(3/(a^1.5) + 0.5)",
     ),
     "a reciprocal cost": (
         al.cost.reciprocal("a", bias=0.5, scale=3.0),
         lambda a, b: 0.5 + 3.0 / a,
-        "(0.5 + 3/a)",
+        "(3/a + 0.5)",
     ),
     "a cost by the square": (
         al.cost.reciprocal_squared("a", bias=0.5, scale=3.0),
         lambda a, b: 0.5 + 3.0 / a**2,
-        "(0.5 + 3/a²)",
+        "(3/(a²) + 0.5)",
     ),
     "an exponential cost": (
         al.cost.exponential("b", bias=0.5, scale=3.0, rate=2.0),
         lambda a, b: 0.5 + 3.0 * np.exp(-2.0 * b),
-        "(0.5 + 3 exp(−2 b))",
+        "(3 exp(−2 b) + 0.5)",
     ),
     "a cost of one's own": (al.cost.cost_curve("a", logarithm), lambda a, b: 2.0 - np.log(a), "logarithm(a)"),
     "numbers alone": ((al.value("a") * 0 + 2) ** 2, lambda a, b: 4.0, "2²"),

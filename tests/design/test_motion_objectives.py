@@ -131,7 +131,7 @@ def test_objectives_are_shown_as_mathematics(expression, text):
     [
         (lambda: al.objectives.effort(), "effort: expected at least one output"),
         (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one per term; received 1"),
-        (lambda: al.objectives.power([("a", "b")]), "power: expected the rate along which each torque acts, by name"),
+        (lambda: al.objectives.power([("a", "b")]), "power: the rate along which each torque acts, by name: expected"),
         (lambda: al.time_integral(al.terminal("x").mean), "expected statistics of a path; received 'μ"),
         (lambda: problem([al.objectives.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
     ],

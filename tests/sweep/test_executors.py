@@ -50,8 +50,12 @@ def square(x):
     return x**2
 
 
+def square_each(items):
+    return [square(one) for one in items]
+
+
 def done(executor: Executor, count: int = 2) -> dict[int, int]:
-    calls = [{"x": float(x)} for x in range(count)]
+    calls = {x: {"x": float(x)} for x in range(count)}
     return dict(each_done(executor, square, calls, [f"at x = {x}" for x in range(count)]))
 
 
@@ -82,9 +86,10 @@ def test_results_are_those_of_their_items_in_order_though_the_last_ends_first():
 
 def test_warnings_and_refusals_of_workers_are_told_with_their_place(travelling: Executor):
     with pytest.warns(al.GridWarning, match=r"^at x = 2: rough$"):
-        assert done(travelling, 3) == {0: 0, 1: 1, 2: 4}
+        found = done(travelling, 4)
+    assert (found.pop(3).args, found) == (("three is refused",), {0: 0, 1: 1, 2: 4})
     with pytest.raises(al.ProblemError, match="three is refused"):
-        next(each_done(travelling, square, [{"x": 3}], ["at x = 3"]))
+        list(each_of(travelling, square_each, [1, 3], {}, "a test"))
 
 
 UNBELIEVED = {
@@ -160,6 +165,14 @@ def test_a_front_by_an_executor_and_its_evidence_are_those_of_here(tmp_path: Pat
     with al.journal(tmp_path):
         again = al.pareto(bar_problem(), "stress", VALUES, executor=executor)
     assert again.objectives.tobytes() == front.objectives.tobytes()
+
+
+def test_a_journal_says_what_lost_workers_have_left_undone(tmp_path: Path):
+    with al.journal(tmp_path), pytest.raises(al.SimulationError, match="its worker died"):
+        al.pareto(bar_problem(), "stress", VALUES[:2], executor=Lost(1, OSError("gone")))
+    states = [one.state.value for one in al.load(tmp_path).entries]
+    assert len(states) == 2
+    assert {"failed"} <= {*states} <= {"done", "failed"}
 
 
 @pytest.mark.parametrize(("method", "traced"), [("monte_carlo", True), ("quasi_monte_carlo", False)])

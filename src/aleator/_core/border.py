@@ -1,13 +1,17 @@
-"""Checks of a user's inputs: numbers, whole numbers, names, objects of a type, reports of progress.
+"""Checks of a user's inputs: numbers, whole numbers, names, objects of a type, reports of progress, files.
 
 Each check returns its value in the form in which it is stored, or raises `ProblemError`: one sentence with what was
 expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
 """
 
 import difflib
+import errno
 import inspect
+import json
 import reprlib
+import stat
 from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -17,6 +21,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import may_hold
 from aleator._core.errors import ProblemError
 
 Kind = TypeVar("Kind")
@@ -79,10 +84,11 @@ def refuse_not_finite(
         raise ProblemError(f"{what}: expected finite numbers; received {numbers[place]:g}{where}.")
 
 
-def real(what: str, value: Any, expected: str = "a finite number") -> float:
-    """One finite number."""
+def real(what: str, value: Any, expected: str = "a finite number", *, least: float = -np.inf) -> float:
+    """One finite number, at `least` a limit if one is given."""
+    expected += f" of at least {least:g}" if least > -np.inf else ""
     array = real_array(what, value, expected)
-    if array.ndim or not np.isfinite(array):
+    if array.ndim or not np.isfinite(array) or array < least:
         raise refusal(what, expected, value)
     return float(array)
 
@@ -173,3 +179,25 @@ def check_progress(who: str, progress: Any) -> None:
         raise refusal(f"{who}: progress", expected, progress) from None
     except ValueError:  # what is not written in Python need not have a signature
         return
+
+
+def content_of(path: str | Path) -> bytes:
+    """The content of a regular file that fits into memory; a pipe or a device may never end.
+
+    Raises `OSError`.
+    """
+    path = Path(path)
+    found = path.stat()
+    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+        raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+    if not may_hold(found.st_size):
+        raise OSError(errno.EFBIG, "it is larger than half of this machine's memory", str(path))
+    return path.read_bytes()
+
+
+def json_of(content: str | bytes, **options: Any) -> Any:
+    """What JSON says. Raises `ValueError` for anything else, and for what is nested too deeply."""
+    try:
+        return json.loads(content, **options)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error

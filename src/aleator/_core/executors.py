@@ -14,10 +14,9 @@ import subprocess
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from typing import IO, Any, TypeAlias, TypeVar, final
@@ -65,21 +64,33 @@ def is_of_this_process(executor: Executor) -> bool:
 
 
 def each_done(
-    executor: Executor, work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]
+    executor: Executor, work: Work, calls: Mapping[int, Mapping[str, Any]], where: Sequence[str]
 ) -> Iterator[tuple[int, Any]]:
-    """The results of `work` for some arguments, each with its index, as soon as they are there.
+    """The results of `work` for some arguments, or our own exceptions, each by its number, as soon as they are there.
 
-    Warnings begin with the words in `where`. Where the caller stops, what has not begun is cancelled. Raises what the
-    work raises, `ProblemError` for arguments that cannot travel, and `SimulationError` if workers keep dying.
+    All is packed at once, and sent once the first result is asked for. Warnings begin with the words in `where`. Where
+    the caller stops, what has not begun is cancelled. Raises `ProblemError` for arguments that cannot travel, and
+    `SimulationError` if an executor takes no work, workers keep dying, or what they give is no result of their work.
     """
-    with sending(executor) as sent:
-        for i, (pack, place) in enumerate(zip([packed(executor, work, one) for one in calls], where, strict=True)):
-            sent.send(i, pack, place)
-        for i, receive in sent.done():
-            result = receive()
-            if isinstance(result, AleatorError):
-                raise result
-            yield i, result
+    return _received_as_done(executor, {i: packed(executor, work, one) for i, one in calls.items()}, where)
+
+
+def _received_as_done(
+    executor: Executor, packs: Mapping[int, "Pack"], where: Sequence[str]
+) -> Iterator[tuple[int, Any]]:
+    numbers: dict[Future[Any], int] = {}
+    try:
+        for i, pack in packs.items():
+            future = _submitted(executor, pack, where[i])
+            if future in numbers:
+                raise _lost(where[i], "the executor gave the same future for two pieces of work")
+            numbers[future] = i
+        for future in as_completed(numbers):
+            i = numbers[future]
+            yield i, _received(future, packs[i], where[i])
+    finally:
+        for future in numbers:
+            future.cancel()
 
 
 def each_of(
@@ -87,57 +98,21 @@ def each_of(
 ) -> Iterator[tuple[_Item, Any]]:
     """Each item with what is found for it, in order; `work(items=some, **given)` returns a list for some of them.
 
-    Neighbours are sent together, the same ones to every executor. Raises the errors of `each_done`.
+    Neighbours are sent together, the same ones to every executor. Raises the errors of `each_done`, and those of the
+    work.
     """
     size = max(-(-len(items) // _CALLS), 1)
     shares = [items[first : first + size] for first in range(0, len(items), size)]
-    calls = [{**given, "items": one} for one in shares]
+    calls = {i: {**given, "items": one} for i, one in enumerate(shares)}
     waiting: dict[int, Sequence[Any]] = {}
     following = 0
     for i, found in each_done(executor, work, calls, [where] * len(calls)):
+        if isinstance(found, AleatorError):
+            raise found
         waiting[i] = found
         while following in waiting:
             yield from zip(shares[following], waiting.pop(following), strict=True)
             following += 1
-
-
-@contextmanager
-def sending(executor: Executor) -> "Iterator[Sent]":
-    """Send work to an executor within a block; after it, what has not begun is cancelled."""
-    sent = Sent(executor)
-    try:
-        yield sent
-    finally:
-        sent.cancel()
-
-
-@final
-class Sent:
-    """Work that an executor was given, each piece with its index."""
-
-    def __init__(self, executor: Executor):
-        self._executor = executor
-        self._known = set[Future[Any]]()
-        self._open: dict[Future[Any], tuple[int, Callable[[], Any]]] = {}
-
-    def send(self, index: int, pack: "Pack", where: str) -> None:
-        """Send a pack. Raises `SimulationError` if the executor does not take it."""
-        future = _submitted(self._executor, pack, where)
-        if future in self._known:
-            raise _lost(where, "the executor gave the same future for two pieces of work")
-        self._known.add(future)
-        self._open[future] = index, partial(received, future, pack, where)
-
-    def done(self) -> "Iterator[tuple[int, Callable[[], Any]]]":
-        """What is finished, as soon as it is, that sent meanwhile too: its index, and `received` for it."""
-        while self._open:
-            finished, _ = wait(self._open, return_when=FIRST_COMPLETED)
-            yield from [self._open.pop(future) for future in finished]
-
-    def cancel(self) -> None:
-        """Cancel what has not begun."""
-        for future in self._open:
-            future.cancel()
 
 
 def _submitted(executor: Executor, pack: "Pack", where: str) -> "Future[Any]":
@@ -155,61 +130,45 @@ def _lost(where: str, why: str) -> SimulationError:
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Pack:
     """Some work with its arguments, as an executor is given it: a pickle, or for threads of this process as it stands.
 
-    An answer tells which pack it answers, so that no result is believed that is given for another one.
+    - `name`: its own, with which it is answered, so that no result is believed that is given for another one.
     """
 
-    content: Any
+    content: Any = field(compare=False)
+    name: Any
+
+    @property
+    def travels(self) -> bool:
+        """Whether it goes to another process, and its answer comes from there."""
+        return isinstance(self.content, bytes)
 
     def opened(self) -> tuple[Work, Mapping[str, Any]]:
         """The work and its arguments by name, where it is done."""
-        return pickle.loads(self.content) if self._travels else self.content
-
-    def answer(self, result: Any) -> Any:
-        """A result as it is sent back."""
-        return pickle.dumps((self._name(), result)) if self._travels else (self._name(), result)
-
-    def read(self, answer: Any) -> tuple[bool, Any]:
-        """Whether an answer is one to this pack, and the result. Raises anything for what is no answer at all."""
-        name, result = pickle.loads(answer) if self._travels else answer
-        return name == self._name(), result
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pack) and self._name() == other._name()
-
-    def __hash__(self) -> int:
-        return hash(self._name())
-
-    @property
-    def _travels(self) -> bool:
-        return isinstance(self.content, bytes)
-
-    def _name(self) -> Any:
-        return hashlib.sha256(self.content).digest() if self._travels else id(self)
+        return pickle.loads(self.content) if self.travels else self.content
 
 
 def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> Pack:
     """Some work with its arguments by name. Raises `ProblemError` for what other processes could not read."""
     if is_of_this_process(executor):
-        return Pack((work, dict(call)))
+        return Pack((work, dict(call)), object())
+    remedy = "or give it to threads of this process, ThreadPoolExecutor(2), which take any model."
     try:
         content = pickle.dumps((work, dict(call)))
     except Exception as error:  # of whatever kind a user's object raises
         raise ProblemError(
             f"executor: the model cannot be sent to another process ({error}). Write its classes and functions in a "
-            "module, not inside functions; or give it to threads of this process, ThreadPoolExecutor(2), which take "
-            "any model."
+            f"module, not inside functions; {remedy}"
         ) from error
     if b"__main__" in content:
         raise ProblemError(
             "executor: the model has classes or functions of the script itself (`__main__`), which other processes do "
-            "not have. Move them into a module, a file of their own beside the script, and import them from there; or "
-            "give it to threads of this process, ThreadPoolExecutor(2), which take any model."
+            f"not have. Move them into a module, a file of their own beside the script, and import them from there; "
+            f"{remedy}"
         )
-    return Pack(content)
+    return Pack(content, hashlib.sha256(content).digest())
 
 
 def run(pack: Pack) -> Any:
@@ -222,14 +181,12 @@ def run(pack: Pack) -> Any:
         except AleatorError as error:
             result = error
     told = [(one.category, str(one.message)) for one in heard if issubclass(one.category, AleatorWarning)]
-    return pack.answer((result, told))
+    answer = pack.name, result, told
+    return pickle.dumps(answer) if pack.travels else answer
 
 
-def received(future: "Future[Any]", pack: Pack, where: str) -> Any:
-    """The result of `run` for a pack, or our own exception as a result, with its warnings told here.
-
-    Raises `SimulationError` if the worker was lost, or gave what is no result of this pack.
-    """
+def _received(future: "Future[Any]", pack: Pack, where: str) -> Any:
+    """The result of `run` for a pack, or our own exception as a result, with its warnings told here."""
     try:
         given = future.result()
     except (OSError, RuntimeError, CancelledError) as error:
@@ -238,10 +195,10 @@ def received(future: "Future[Any]", pack: Pack, where: str) -> Any:
             "al.journal(folder); is there enough memory for as many workers?"
         ) from error
     try:
-        is_its_own, (result, told) = pack.read(given)
+        name, result, told = pickle.loads(given) if pack.travels else given
     except Exception as error:  # of whatever kind nonsense raises
         raise _lost(where, f"expected what a worker has found; received {shown(given)} from the executor") from error
-    if not is_its_own:
+    if name != pack.name:
         raise _lost(where, "the executor gave the result of other work, which is not used")
     with _HEARD, warned_of(where):
         for category, message in told:

@@ -13,12 +13,10 @@ import os
 import platform
 import sys
 import sysconfig
-import threading
 import time
 import types
 import uuid
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from decimal import Decimal
 from fractions import Fraction
 from importlib import metadata
@@ -62,14 +60,6 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
         return joined([_surroundings(), *_texts(function), *_texts(how), *_Texts(whole=False)(arguments)])
     except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
         return None
-
-
-def lasting_parts(given: Mapping[str, Any]) -> dict[str, str]:
-    """Digests of all that a result follows from, each by its name, besides `versions`; numbers included.
-
-    Results with the same digests are equal, in any process. Raises `DoubtError` if that is uncertain.
-    """
-    return {name: lasting_digest(one) for name, one in given.items()} | {"versions": _libraries()}
 
 
 def lasting_digest(it: Any, *, declared: bool = False) -> str:
@@ -144,12 +134,12 @@ def _surroundings() -> str:
     device = jax.devices()[0]
     # When XLA compiles, it divides loops among the cores that the process may use.
     machine = [device.client.platform_version, device.device_kind, f"cores={CORES}"]
-    return "\n".join([_libraries(), jax.default_backend(), *machine, *settings])
+    return "\n".join([versions(), jax.default_backend(), *machine, *settings])
 
 
 @functools.cache
-def _libraries() -> str:
-    """A digest of this package's sources and of the versions of libraries that trace.
+def versions() -> str:
+    """A digest of this package's sources and of the versions of libraries that trace, of which all results are.
 
     A doubt if a source has changed since this process began: others may be loaded than those on the disk.
     """
@@ -335,10 +325,9 @@ def _constant(array: Any) -> str:
     return array_digest(array)
 
 
-# Enough for a session's functions.
+# The functions that were traced last: enough for a session's.
 _MOST_TRACES = 64
-_TRACES: OrderedDict[Hashable, TracedFunction] = OrderedDict()
-_TRACES_LOCK = threading.Lock()
+_TRACES = dict[Hashable, TracedFunction]()
 
 
 def traced_once(
@@ -352,20 +341,16 @@ def traced_once(
     name = identity_of(code)
     leaves, structure = jax.tree.flatten(arguments)
     key = name, structure, tuple(map(_kind_of, leaves))
-    with _TRACES_LOCK:
-        known = _TRACES.pop(key, None)
-        if known is not None:
-            _TRACES[key] = known  # the last to go
+    known = None if name is None else _TRACES.pop(key, None)
     if known is None:
         known = TracedFunction(function, *arguments)
         if who is not None:
             again = functools.partial(TracedFunction, function, *arguments)
             refuse_unsteady(who, digest_of(known.closed), lambda: digest_of(again().closed))
-        if name is not None and not any(isinstance(one, Tracer) for one in known.closed.consts):
-            with _TRACES_LOCK:
-                _TRACES[key] = known
-                while len(_TRACES) > _MOST_TRACES:
-                    _TRACES.popitem(last=False)
+    if name is not None and not any(isinstance(one, Tracer) for one in known.closed.consts):
+        _TRACES[key] = known  # the last to go
+        if len(_TRACES) > _MOST_TRACES:
+            _TRACES.pop(next(iter(_TRACES)), None)
     return known
 
 

@@ -7,14 +7,14 @@ journal, and where. A long one is kept part by part, every few seconds; files of
 import abc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, final
 
 from typing_extensions import override
 
-from aleator._core.files import content_of, json_of
+from aleator._core.border import content_of, json_of
 
 Result = TypeVar("Result")
 
@@ -36,14 +36,13 @@ class AbstractParts(abc.ABC):
 
 
 class AbstractEntry(abc.ABC):
-    """The place of one result: `recalled` is what an earlier run found, None if there is nothing."""
+    """The place of one result: `recalled` is what an earlier run found, None if there is nothing.
+
+    - `parts`: those of the result so far; None where nothing is kept of these.
+    """
 
     recalled: Any = None
-
-    @property
-    def parts(self) -> AbstractParts:
-        """The parts of the result so far; by default nothing is kept of these."""
-        return NOTHING
+    parts: AbstractParts | None = None
 
     @abc.abstractmethod
     def keep(self, result: Any) -> None:
@@ -61,28 +60,14 @@ class AbstractJournal(abc.ABC):
     def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
         """The entry of a result that follows from what is given, whatever the process."""
 
-    @abc.abstractmethod
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
         """Note what will be done with some problems, by their names; returns keys for `withdraw`."""
+        del what, problems
+        return []
 
-    @abc.abstractmethod
     def withdraw(self, keys: Sequence[str]) -> None:
         """Note that nothing more is expected under these keys."""
-
-
-@final
-class _NoParts(AbstractParts):
-    @override
-    def recall(self, number: int) -> Any:
-        return None
-
-    @override
-    def keep(self, number: int, part: Any) -> None:
-        pass
-
-
-NOTHING: AbstractParts = _NoParts()
-"""The parts of what nobody keeps."""
+        del keys
 
 
 @final
@@ -107,13 +92,18 @@ _called: ContextVar[str] = ContextVar("name of the work", default="")
 
 
 @contextmanager
-def journalling(journal: AbstractJournal) -> Iterator[None]:
-    """Let results within a block be kept by a journal."""
-    token = _present.set(journal)
+def _set(variable: ContextVar[Any], value: Any) -> Iterator[None]:
+    """Let a variable have a value within a block."""
+    token = variable.set(value)
     try:
         yield
     finally:
-        _present.reset(token)
+        variable.reset(token)
+
+
+def journalling(journal: AbstractJournal) -> AbstractContextManager[None]:
+    """Let results within a block be kept by a journal."""
+    return _set(_present, journal)
 
 
 def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
@@ -135,14 +125,9 @@ def expected(what: str, problems: Mapping[str, Any]) -> Iterator[None]:
         journal.withdraw(keys)
 
 
-@contextmanager
-def calling(name: str) -> Iterator[None]:
+def calling(name: str) -> AbstractContextManager[None]:
     """Let a journal call what is computed within a block by a name, unless it has one of its own."""
-    token = _called.set(name)
-    try:
-        yield
-    finally:
-        _called.reset(token)
+    return _set(_called, name)
 
 
 def called() -> str:
@@ -159,23 +144,20 @@ def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result
     entry = entry_of(what, given)
     if entry.recalled is not None:
         return entry.recalled
-    token, outer = _present.set(None), _begun.set(entry)
     try:
-        result = compute()
+        with _set(_present, None), _set(_begun, entry):
+            result = compute()
     except BaseException as error:
         entry.failed(error)
         raise
-    finally:
-        _present.reset(token)
-        _begun.reset(outer)
     entry.keep(result)
     return result
 
 
-def parts_so_far() -> AbstractParts:
-    """The parts of the result that is being computed, for whoever computes it part by part."""
+def parts_so_far() -> AbstractParts | None:
+    """The parts of the result that is being computed, for whoever computes it part by part; None if none are kept."""
     entry = _begun.get()
-    return NOTHING if entry is None else entry.parts
+    return None if entry is None else entry.parts
 
 
 _Item = TypeVar("_Item")
@@ -188,7 +170,7 @@ _OFTEN = 3.0
 def part_by_part(
     items: Sequence[_Item],
     work: Callable[[Sequence[_Item]], Iterator[tuple[_Item, _Result]]],
-    parts: AbstractParts,
+    parts: AbstractParts | None,
 ) -> Iterator[tuple[_Item, _Result]]:
     """What `work` finds for each item, in order; it is given those alone that no earlier run has finished."""
     done = 0
@@ -201,7 +183,7 @@ def part_by_part(
         yield item, found
 
 
-def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts) -> Callable[[_Item], _Result]:
+def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts | None) -> Callable[[_Item], _Result]:
     """A function whose first calls an earlier run has answered: for the same calls in the same order."""
     earlier = list(_recalled(parts))
     keeping, known = _Keeping(parts, len(earlier)), iter(earlier)
@@ -216,10 +198,10 @@ def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts) -> Call
     return answer
 
 
-def _recalled(parts: AbstractParts) -> Iterator[Any]:
+def _recalled(parts: AbstractParts | None) -> Iterator[Any]:
     """The results of an earlier run, from the first one on, without a gap."""
     done = 0
-    while (some := parts.recall(done)) is not None:
+    while parts is not None and (some := parts.recall(done)) is not None:
         yield from some
         done += len(some)
 
@@ -228,13 +210,15 @@ def _recalled(parts: AbstractParts) -> Iterator[Any]:
 class _Keeping:
     """Keeps the results from a number on, those of some seconds in one part."""
 
-    def __init__(self, parts: AbstractParts, first: int):
+    def __init__(self, parts: AbstractParts | None, first: int):
         self._parts, self._first = parts, first
         self._unkept = list[Any]()
         self._kept_at = time.monotonic()
 
     def add(self, result: Any) -> None:
         """Add the next result."""
+        if self._parts is None:
+            return
         self._unkept.append(result)
         if time.monotonic() - self._kept_at >= _OFTEN:
             self._parts.keep(self._first, self._unkept)

@@ -1,4 +1,4 @@
-"""Work on all cores and devices by Python's threads: XLA releases the interpreter's lock while it computes or compiles.
+"""Work on all cores and devices by Python's threads, and Ctrl-C meanwhile: XLA releases the lock of the interpreter.
 
 Parts of a computation are shared among devices, each as a whole, on one device in turn. A part's numbers therefore come
 from the same program whichever device computes it, and sums over parts are formed in their order on one device.
@@ -8,10 +8,11 @@ import contextlib
 import contextvars
 import itertools
 import os
+import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import islice
@@ -34,7 +35,6 @@ VARIABLE = "ALEATOR_THREADS"
 
 # Runs functions that no signal in the main thread may interrupt.
 _UNDISTURBED = ThreadPoolExecutor(1, thread_name_prefix="aleator, undisturbed")
-_DROPPED: contextvars.ContextVar[tuple[threading.Event, ...]] = contextvars.ContextVar("dropped", default=())
 
 
 @final
@@ -93,32 +93,24 @@ def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[],
     context, begun = contextvars.copy_context(), Future[_Result]()
     if working() > 1:
         with contextlib.suppress(RuntimeError):  # while the interpreter ends, no thread begins anything any more
-            begun = _TEAM.others.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments)
+            begun = _TEAM.others.submit(contextvars.copy_context().run, function, *arguments)
 
     def result() -> _Result:
-        return context.run(_unless_dropped, function, *arguments) if begun.cancel() else begun.result()
+        return context.run(function, *arguments) if begun.cancel() else begun.result()
 
     return result
 
 
-def _unless_dropped(function: Callable[..., _Result], *arguments: object) -> _Result:
-    if any(one.is_set() for one in _DROPPED.get()):
-        raise CancelledError
-    return function(*arguments)
-
-
 @contextmanager
 def dropped_on_failure() -> Iterator[None]:
-    """Drop work begun inside that still waits for a core if the inside raises, so that Ctrl-C takes effect soon."""
-    own = threading.Event()
-    before = _DROPPED.set((*_DROPPED.get(), own))
+    """Drop what waits for a core if the inside raises, so that Ctrl-C takes effect soon. Who needs it computes it."""
+    global _TEAM
     try:
         yield
     except BaseException:
-        own.set()
+        team, _TEAM = _TEAM, _Team(_TEAM.size)
+        team.others.shutdown(wait=False, cancel_futures=True)
         raise
-    finally:
-        _DROPPED.reset(before)
 
 
 def undisturbed(function: Callable[[], _Result]) -> _Result:
@@ -146,9 +138,6 @@ def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterat
 
 Device: TypeAlias = Any
 """A device of JAX. (A type checker cannot follow `jax.Device`.)"""
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 
 class _Place(NamedTuple):
@@ -215,3 +204,56 @@ def over_devices(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> It
             _PLACE.reset(before)
 
     return in_order(at_place, zip(itertools.cycle(all_of_them), items))
+
+
+# Ctrl-C, where its exception may be lost: in a solver's own code, or in a callback of the garbage collector.
+
+
+@contextmanager
+def noting(note: Callable[[], None]) -> Iterator[None]:
+    """Call `note` at each SIGINT, and then the present handler unless it raises; in the main thread alone."""
+    previous = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+        yield
+        return
+
+    def handle(number: int, frame: object) -> None:
+        note()
+        previous(number, frame)  # type: ignore[arg-type]
+
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def take_back() -> None:
+    """Restore Python's handler of SIGINT after a library has installed its own.
+
+    Does nothing outside the main thread. The effect is temporary: the library restores the handler that it found.
+    """
+    present = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is threading.main_thread() and callable(present):
+        signal.signal(signal.SIGINT, present)
+
+
+@contextmanager
+def heeding(*, alone: bool = False) -> Iterator[Callable[[], None]]:
+    """Gives a function that raises `KeyboardInterrupt` between two steps of some work if a Ctrl-C was lost in one.
+
+    - `alone`: for work that a Ctrl-C only shortens: the handlers outside hear nothing of it.
+    """
+    heard: list[bool] = []
+
+    def note() -> None:
+        heard.append(True)
+        if alone:
+            raise KeyboardInterrupt
+
+    def raise_if_heard() -> None:
+        if heard:
+            raise KeyboardInterrupt
+
+    with noting(note):
+        yield raise_if_heard

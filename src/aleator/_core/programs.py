@@ -22,7 +22,7 @@ import sys
 import threading
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -34,7 +34,6 @@ import platformdirs
 from jax.experimental import serialize_executable
 
 from aleator._core.border import refusal
-from aleator._core.collecting import uncollected
 from aleator._core.errors import ProblemError
 from aleator._core.parallel import undisturbed
 
@@ -49,6 +48,20 @@ _MOST_OF_ONE = 1000
 # Linux limits the mappings of each process, and compiled code takes hundreds: beyond, LLVM gets no memory and ends the
 # process without a message.
 _OWN, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
+
+
+@contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """While modules are loaded and equations traced, which are all needed: the collector looks through them again and
+    again, for a tenth of a first answer's time.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 @final
@@ -205,7 +218,8 @@ def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
     """
     if folder is not None and not (isinstance(folder, str | os.PathLike) and str(folder)):
         raise refusal("compilation_cache: folder", "a folder, or None", folder)
-    _keep_in(None if folder is None else _made(Path(folder)))
+    global _folder
+    _folder = None if folder is None else _made(Path(folder))
 
 
 def keep_by_default() -> None:
@@ -213,6 +227,7 @@ def keep_by_default() -> None:
 
     Nowhere if JAX has been given a folder. A warning is given if a folder set by the user cannot be written to.
     """
+    global _folder
     wanted = os.environ.get(VARIABLE)
     if wanted is None and jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
         return
@@ -220,7 +235,7 @@ def keep_by_default() -> None:
         return
     try:
         usual = wanted is None or wanted.strip().lower() in _ON
-        _keep_in(_made(platformdirs.user_cache_path("aleator") if usual else Path(str(wanted))))
+        _folder = _made(platformdirs.user_cache_path("aleator") if usual else Path(str(wanted)))
     except (ProblemError, RuntimeError) as error:  # the latter where the user's home is unknown
         if wanted is not None:
             warnings.warn(f"{VARIABLE}: {error} Nothing is kept.", stacklevel=2)
@@ -314,11 +329,6 @@ def _prepare_lapack() -> None:
     A loaded program that calls one before crashes the process; SciPy's, which it takes, cost half an import of JAX.
     """
     jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
-
-
-def _keep_in(folder: Path | None) -> None:
-    global _folder
-    _folder = folder
 
 
 def _made(folder: Path) -> Path:

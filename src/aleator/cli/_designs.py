@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from aleator._core.border import content_of, json_of
 from aleator._core.errors import ProblemError
-from aleator._core.files import content_of, json_of
 from aleator.reporting import NOTHING, Table, percent, side_by_side, values_text
 from aleator.solution import Solution
 from aleator.validation import Evidence

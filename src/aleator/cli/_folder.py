@@ -13,8 +13,8 @@ from typing import final
 
 import aleator
 from aleator import studies
+from aleator._core.border import content_of, json_of
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.files import content_of, json_of
 from aleator.reporting import json_text, write_whole
 from aleator.studies import AbstractStudy, SweptStudy
 

@@ -34,6 +34,7 @@ from aleator.design._objectives import effort as effort
 from aleator.design._objectives import exponential as exponential
 from aleator.design._objectives import final_time as final_time
 from aleator.design._objectives import function as function
+from aleator.design._objectives import integrated_paths as integrated_paths
 from aleator.design._objectives import maximum as maximum
 from aleator.design._objectives import minimum as minimum
 from aleator.design._objectives import norm as norm
@@ -68,7 +69,6 @@ from aleator.design._response import first_broken as first_broken
 from aleator.design._response import grid_at as grid_at
 from aleator.design._response import history as history
 from aleator.design._response import instants_at as instants_at
-from aleator.design._response import needed_events as needed_events
 from aleator.design._response import refuse_large_histories as refuse_large_histories
 from aleator.design._response import responses as responses
 from aleator.design._response import sampled as sampled
@@ -91,7 +91,6 @@ from aleator.design._statistic import covariance as covariance
 from aleator.design._statistic import extreme_functionals as extreme_functionals
 from aleator.design._statistic import functionals_of as functionals_of
 from aleator.design._statistic import instants_of as instants_of
-from aleator.design._statistic import integrated_paths as integrated_paths
 from aleator.design._statistic import is_at_points as is_at_points
 from aleator.design._statistic import is_worst_case as is_worst_case
 from aleator.design._statistic import joined as joined

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator._core.border import meant
+from aleator._core.border import meant, one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator.design._functionals import events_of
 from aleator.design._objectives import time_integrals
@@ -71,21 +71,13 @@ def check(problem: AbstractProblem) -> None:
 
 
 def _check_types(problem: AbstractProblem) -> None:
-    system: Any = problem.system
-    has_no_time = isinstance(system, AbstractSystem) and not system.has_time
-    expected: tuple[tuple[str, Any, tuple[type, ...]], ...] = (
-        ("system", system, (System, AlgebraicSystem, LinkedSystems)),
-        ("grid", problem.grid, (Instant,) if has_no_time else (Grid, LinkedGrid)),
-        ("expansion", problem.expansion, (Expansion, MultiElement)),
-        ("integrator", problem.integrator, (AbstractIntegrator,)),
-    )
-    for name, value, kinds in expected:
-        if not isinstance(value, kinds):
-            remedy = " An algebraic system has no time: drop the grid." if kinds == (Instant,) else ""
-            raise ProblemError(
-                f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
-                f"received {type(value).__name__} {value!r}.{remedy}"
-            )
+    system = one_of("Problem: 'system'", problem.system, (System, AlgebraicSystem, LinkedSystems))
+    if system.has_time:
+        one_of("Problem: 'grid'", problem.grid, (Grid, LinkedGrid), "al.Grid(1.0, 50)")
+    elif not isinstance(problem.grid, Instant):
+        raise refusal("Problem: 'grid'", "none, because an algebraic system has no time: drop the grid", problem.grid)
+    one_of("Problem: 'expansion'", problem.expansion, (Expansion, MultiElement))
+    one_of("Problem: 'integrator'", problem.integrator, AbstractIntegrator)
     if not (problem.objective.atoms or problem.constraints):
         raise ProblemError(
             f"Problem: minimize: expected an expression, such as al.output('y').mean; received {problem.objective}, "

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import real_array, shown
+from aleator._core.border import real_array, refusal, shown
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid, LinkedSystems, Simulation, returned
 from aleator.trajectories import AbstractTrajectory, Piecewise
@@ -42,10 +42,10 @@ class Control(AbstractTrajectory):
 
     def __init__(self, initial: Any, lower: Any = -np.inf, upper: Any = np.inf, degree: int = 0):
         if isinstance(degree, bool) or not isinstance(degree, int) or degree not in (0, 1):
-            raise ProblemError(
-                "Control: its degree is 0 (constant over each step of the grid) or 1 (linear between its instants); "
-                f"received {shown(degree)}. For smoother inputs use al.BSpline."
+            expected = (
+                "0 (constant over each step of the grid) or 1 (linear between its instants; al.BSpline is smoother)"
             )
+            raise refusal("Control: degree", expected, degree)
         self.initial = initial if callable(initial) else _numbers("initial", initial)
         self.lower, self.upper = _numbers("lower", lower), _numbers("upper", upper)
         self.degree = degree

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
-from aleator._core.border import a_name
+from aleator._core.border import a_name, real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
+from aleator.design._rules import AbstractRule, Norm, Power, Product
 from aleator.design._scope import (
     AbstractAtom,
     AbstractComposite,
@@ -23,7 +23,6 @@ from aleator.design._scope import (
     AbstractScope,
     Units,
     Value,
-    a_number,
     ordered,
 )
 from aleator.statistics import common
@@ -63,15 +62,15 @@ class Expression(Module):
     def __mul__(self, other: Any) -> "Expression":
         if isinstance(other, Expression) and other.atoms:
             return composed(Product(), self, other) if self.atoms else other * self.constant
-        number = a_number(_plain(other), "multiply an expression by")
+        number = real(f"'{self}' times", _plain(other))
         return Expression(tuple(number * factor for factor in self.factors), self.atoms, number * self.constant)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> "Expression":
         if isinstance(other, Expression) and other.atoms:
-            return composed(Quotient(), self, other)
-        number = a_number(_plain(other), "divide an expression by")
+            return composed(Product(divides=True), self, other)
+        number = real(f"'{self}' divided by", _plain(other))
         if number == 0:
             raise ProblemError(f"'{self}' cannot be divided by zero; received {number}.")
         return self * (1 / number)
@@ -80,7 +79,7 @@ class Expression(Module):
         return as_expression(other) / self
 
     def __pow__(self, exponent: Any) -> "Expression":
-        return composed(Power(a_number(exponent, "be an exponent")), self)
+        return composed(Power(real(f"'{self}': an exponent", exponent)), self)
 
     def __abs__(self) -> "Expression":
         return composed(Norm(), self)
@@ -193,11 +192,6 @@ class Composed(AbstractComposite):
 
     @property
     @override
-    def integrated(self) -> tuple[AbstractAtom, ...]:
-        return tuple(part for one in self.expressions for atom in one.atoms for part in atom.integrated)
-
-    @property
-    @override
     def is_path(self) -> bool:
         return any(one.is_path for one in self.expressions)
 
@@ -307,7 +301,7 @@ def as_expression(value: Any) -> Expression:
         return value
     if isinstance(value, AbstractRandom):
         return value.refuse()
-    return Expression((), (), a_number(value, "be added to or compared with an expression"))
+    return Expression((), (), real("in a sum or comparison with an expression", value))
 
 
 def _plain(value: Any) -> Any:

@@ -1,8 +1,8 @@
 """The functionals: integrals of an output, rms, terminal, path and peak; an output without time."""
 
 import abc
-from collections.abc import Collection, Iterable, Mapping
-from typing import Any, TypeVar, final
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, ClassVar, TypeVar, final
 
 import equinox as eqx
 import jax
@@ -50,13 +50,11 @@ class AbstractIntegral(AbstractFunctional):
 class Integral(AbstractIntegral):
     """The time integral of an output."""
 
+    symbol = "∫{} dt"
+
     @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
         return now[self.output]
-
-    @override
-    def text(self) -> str:
-        return f"∫{self.output} dt"
 
     @override
     def unit(self, outputs: Mapping[str, str]) -> str:
@@ -64,8 +62,25 @@ class Integral(AbstractIntegral):
 
 
 @final
+class SquareIntegral(AbstractIntegral):
+    """The time integral of an output's square."""
+
+    symbol = "∫{}² dt"
+
+    @override
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        return now[self.output] ** 2
+
+    @override
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        return integrated(squared(outputs.get(self.output, "")))
+
+
+@final
 class Rms(AbstractIntegral):
     """The root mean square of an output over time, equations (109) and (110)."""
+
+    symbol = "rms({})"
 
     @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
@@ -76,41 +91,76 @@ class Rms(AbstractIntegral):
         # An output that is zero throughout has rms zero and derivative zero (the smallest subgradient).
         return root(integral / grid.duration)
 
+
+@final
+class Work(AbstractIntegral):
+    """The time integral of the magnitude of a product, such as torque times rate: the energy exchanged.
+
+    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and at most `s` below `|x|`.
+    """
+
+    symbol = "∫|{} {}| dt"
+    smoothing: float = eqx.field(static=True, default=0.0)
+
     @override
-    def text(self) -> str:
-        return f"rms({self.output})"
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        force, rate = (now[name] for name in self.outputs)
+        exchanged, s = force * rate, self.smoothing
+        return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
+
+    @override
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        return integrated(product(*(outputs.get(name, "") for name in self.outputs)))
+
+
+class AbstractReading(AbstractFunctional):
+    """A functional of one output's history, whose first axis is time, as accurate as the states unless said."""
+
+    order = INTEGRATED
+    read: ClassVar[Callable[[Array], Array]]
+
+    @override
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
+        del grid
+        return self.read(taken.history[self.output])
 
 
 @final
-class Terminal(AbstractFunctional):
+class Terminal(AbstractReading):
     """An output at the final time."""
 
-    order = INTEGRATED
-
-    @override
-    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        del grid
-        return taken.history[self.output][-1]
-
-    @override
-    def text(self) -> str:
-        return f"{self.output}(t_f)"
+    symbol, read = "{}(t_f)", staticmethod(lambda history: history[-1])
 
 
 @final
-class Initial(AbstractFunctional):
+class Initial(AbstractReading):
     """An output at the first instant."""
 
-    order = INTEGRATED
+    symbol, read = "{}(t_0)", staticmethod(lambda history: history[0])
 
-    @override
-    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        del grid
-        return taken.history[self.output][0]
 
-    @override
-    def text(self) -> str:
-        return f"{self.output}(t_0)"
+@final
+class Path(AbstractReading):
+    """An output at every instant of the grid."""
+
+    is_path = True
+    symbol, read = "{}(t)", staticmethod(lambda history: history)
+
+
+@final
+class Peak(AbstractReading):
+    """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
+
+    order = 2
+    symbol, read = "max|{}(t)|", staticmethod(lambda history: jnp.max(jnp.abs(history), axis=0))
+
+
+@final
+class Output(AbstractReading):
+    """An output of an algebraic system."""
+
+    order, needs_time = 2, False
+    symbol, read = "{}", staticmethod(lambda history: history[0])
 
 
 @final
@@ -118,6 +168,7 @@ class FloquetMultiplier(AbstractFunctional):
     """The largest magnitude of the eigenvalues of a cycle's monodromy matrix."""
 
     order = INTEGRATED
+    symbol = "max|λ|"
 
     @property
     @override
@@ -140,10 +191,6 @@ class FloquetMultiplier(AbstractFunctional):
             raise ProblemError(
                 "al.floquet_multiplier() is that of a cycle: expected a grid that repeats, al.Grid(..., periodic=True)."
             )
-
-    @override
-    def text(self) -> str:
-        return "max|λ|"
 
 
 @final
@@ -184,53 +231,6 @@ class At(AbstractFunctional):
     @override
     def unit(self, outputs: Mapping[str, str]) -> str:
         return super().unit(outputs) if self.outputs else "s"
-
-
-@final
-class Path(AbstractFunctional):
-    """An output at every instant of the grid."""
-
-    is_path = True
-    order = INTEGRATED
-
-    @override
-    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        del grid
-        return taken.history[self.output]
-
-    @override
-    def text(self) -> str:
-        return f"{self.output}(t)"
-
-
-@final
-class Peak(AbstractFunctional):
-    """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
-
-    @override
-    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        del grid
-        return jnp.max(jnp.abs(taken.history[self.output]), axis=0)
-
-    @override
-    def text(self) -> str:
-        return f"max|{self.output}(t)|"
-
-
-@final
-class Output(AbstractFunctional):
-    """An output of an algebraic system."""
-
-    needs_time = False
-
-    @override
-    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        del grid
-        return taken.history[self.output][0]
-
-    @override
-    def text(self) -> str:
-        return self.output
 
 
 def integral(output: str, phase: str | None = None) -> Integral:
@@ -323,44 +323,3 @@ def events_of(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
 def expanded_functionals(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
     """The functionals in the expressions that need an expansion: those with a statistic, not only a worst case."""
     return tuple(dict.fromkeys(one for atom in statistics_in(expressions) for one in atom.functionals))
-
-
-@final
-class SquareIntegral(AbstractIntegral):
-    """The time integral of an output's square."""
-
-    @override
-    def integrand(self, now: Mapping[str, Array]) -> Array:
-        return now[self.output] ** 2
-
-    @override
-    def text(self) -> str:
-        return f"∫{self.output}² dt"
-
-    @override
-    def unit(self, outputs: Mapping[str, str]) -> str:
-        return integrated(squared(outputs.get(self.output, "")))
-
-
-@final
-class Work(AbstractIntegral):
-    """The time integral of the magnitude of a product, such as torque times rate: the energy exchanged.
-
-    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and at most `s` below `|x|`.
-    """
-
-    smoothing: float = eqx.field(static=True, default=0.0)
-
-    @override
-    def integrand(self, now: Mapping[str, Array]) -> Array:
-        force, rate = (now[name] for name in self.outputs)
-        exchanged, s = force * rate, self.smoothing
-        return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
-
-    @override
-    def text(self) -> str:
-        return f"∫|{' '.join(self.outputs)}| dt"
-
-    @override
-    def unit(self, outputs: Mapping[str, str]) -> str:
-        return integrated(product(*(outputs.get(name, "") for name in self.outputs)))

@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.border import a_name, refusal
+from aleator._core.border import a_name, one_of, real, refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Expression, as_expression, composed, value
 from aleator.design._functionals import SquareIntegral, Work, path, terminal
-from aleator.design._rules import CostCurve, Curve, Extremum, Norm, Own, PositivePart, Pure
-from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units, a_number, a_smoothing
-from aleator.design._statistic import an_output, statistic
+from aleator.design._rules import Extremum, Norm, Own, PositivePart, Pure
+from aleator.design._scope import AbstractComposite, AbstractScope, Units
+from aleator.design._statistic import AbstractFunctional, an_output, statistic, statistics_in
 from aleator.statistics import CoefficientProduct, integrated
 
 Weights: TypeAlias = float | Sequence[float] | Array | None
@@ -48,11 +48,6 @@ class TimeIntegral(AbstractComposite):
     def inner(self) -> tuple[Expression, ...]:
         return (self.expression,)
 
-    @property
-    @override
-    def integrated(self) -> tuple[AbstractAtom, ...]:
-        return self.parts
-
 
 def time_integrals(expression: Expression) -> tuple[Expression, ...]:
     """The expressions that are integrated over time within another one, in the order of evaluation."""
@@ -62,6 +57,12 @@ def time_integrals(expression: Expression) -> tuple[Expression, ...]:
         for one in atom.inner
         for inner in ((one,) if isinstance(atom, TimeIntegral) else time_integrals(one))
     )
+
+
+def integrated_paths(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
+    """The paths whose statistics the expressions integrate over time, each once."""
+    inside = tuple(inner for one in expressions for inner in time_integrals(one))
+    return tuple(dict.fromkeys(one for atom in statistics_in(inside) for one in atom.functionals if one.is_path))
 
 
 def beside_integrals(expression: Expression) -> Expression:
@@ -105,7 +106,7 @@ def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float
     stall: `smoothing`, W, rounds the kink, and lowers the integrand by at most that much. `coefficient_power` is the
     sum printed in the dissertation.
     """
-    smoothing, products = a_smoothing("power", smoothing), _pairs("power", pairs)
+    smoothing, products = real("power: smoothing", smoothing, least=0.0), _pairs("power", pairs)
     return _weighted([Work(pair, smoothing).mean for pair in products], weights, "power")
 
 
@@ -116,7 +117,7 @@ def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoo
     Where the rates are certain, as for a prescribed joint, it is the energy exchanged by the expected torque,
     `∫ |E[τ] q̇| dt`.
     """
-    kind = CoefficientProduct(a_smoothing("coefficient_power", smoothing))
+    kind = CoefficientProduct(real("coefficient_power: smoothing", smoothing, least=0.0))
     paths = ((path(torque), path(rate)) for torque, rate in _pairs("coefficient_power", pairs))
     terms = [Expression((1.0,), (TimeIntegral(statistic(kind, *pair)),)) for pair in paths]
     return _weighted(terms, weights, "coefficient_power")
@@ -128,13 +129,10 @@ def terminal_mean_error(references: Mapping[str, float], *, smoothing: float = 0
     It has a kink where the error vanishes, at which an optimiser may stall: `smoothing`, in the unit of the outputs,
     rounds it, and lowers the norm by at most that much.
     """
-    if not isinstance(references, Mapping):
-        raise ProblemError(
-            "terminal_mean_error: expected the target of each output at the end, by name, such as {'reach': 1.2}; "
-            f"received {type(references).__name__} {references!r}."
-        )
+    what = "terminal_mean_error: the target of each output at the end, by name"
+    references = one_of(what, references, Mapping, "{'reach': 1.2}")
     errors = (terminal(name).mean - reference for name, reference in references.items())
-    return norm(*errors, smoothing=a_smoothing("terminal_mean_error", smoothing))
+    return norm(*errors, smoothing=real("terminal_mean_error: smoothing", smoothing, least=0.0))
 
 
 def terminal_variance(*outputs: str) -> Expression:
@@ -151,7 +149,7 @@ def norm(*expressions: Expression, smoothing: float = 0.0) -> Expression:
     """
     if not expressions:
         raise ProblemError("norm: expected at least one expression, such as al.terminal('x').variance; received none.")
-    return composed(Norm(a_smoothing("norm", smoothing)), *expressions)
+    return composed(Norm(real("norm: smoothing", smoothing, least=0.0)), *expressions)
 
 
 def time_integral(expression: Expression) -> Expression:
@@ -165,12 +163,8 @@ def time_integral(expression: Expression) -> Expression:
 
 
 def _pairs(name: str, pairs: Any) -> list[tuple[str, str]]:
-    if isinstance(pairs, Mapping):
-        return list(pairs.items())
-    raise ProblemError(
-        f"{name}: expected the rate along which each torque acts, by name, such as {{'elbow_torque': 'elbow_rate'}}; "
-        f"received {type(pairs).__name__} {pairs!r}."
-    )
+    what = f"{name}: the rate along which each torque acts, by name"
+    return list(one_of(what, pairs, Mapping, "{'elbow_torque': 'elbow_rate'}").items())
 
 
 def _weighted(terms: Sequence[Expression], weights: Any, name: str) -> Expression:
@@ -207,7 +201,7 @@ def positive_part(expression: Any, *, smoothing: float = 0.0) -> Expression:
     - `smoothing`: rounds the kink at zero, in the unit of the expression: `(x + sqrt(x² + s²)) / 2`, which is at most
       `s/2` above.
     """
-    return composed(PositivePart(a_smoothing("positive_part", smoothing)), expression)
+    return composed(PositivePart(real("positive_part: smoothing", smoothing, least=0.0)), expression)
 
 
 def function(of: Callable[..., Any], *expressions: Any) -> Expression:
@@ -233,47 +227,34 @@ def pure(expression: Any) -> Expression:
 
 
 def _extremum(who: str, side: int, expressions: tuple[Any, ...], smoothing: float) -> Expression:
-    rule = Extremum(side=side, smoothing=a_smoothing(who, smoothing))
+    rule = Extremum(side=side, smoothing=real(f"{who}: smoothing", smoothing, least=0.0))
     if len(expressions) < 2:
         raise ProblemError(f"{who}: expected at least two expressions or numbers; received {len(expressions)}.")
     return composed(rule, *expressions)
 
 
-def _reciprocal_power(spread: Array, bias: Array, scale: Array, power: Array) -> Array:
-    return bias + scale / spread**power
-
-
-def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array:
-    return bias + scale * jnp.exp(-rate * spread)
-
-
-def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
-    numbers = tuple(a_number(number, "be a coefficient of a cost curve") for number in coefficients)
-    return composed(CostCurve(curve, shown, numbers), value(a_name("A cost curve", name)))
-
-
 def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:
     """Cost `bias + scale / spread**power` of the number called `name`, such as `"k_s.half_width"` (equation 125)."""
-    return _expression(name, _reciprocal_power, "({0} + {1}/{spread}^{2})", bias, scale, power)
+    return pure(scale / value(name) ** power + bias)
 
 
 def reciprocal(name: str, *, bias: float, scale: float) -> Expression:
     """Cost `bias + scale / spread`."""
-    return _expression(name, _reciprocal_power, "({0} + {1}/{spread})", bias, scale, 1.0)
+    return pure(scale / value(name) + bias)
 
 
 def reciprocal_squared(name: str, *, bias: float, scale: float) -> Expression:
     """Cost `bias + scale / spread**2`."""
-    return _expression(name, _reciprocal_power, "({0} + {1}/{spread}²)", bias, scale, 2.0)
+    return reciprocal_power(name, bias=bias, scale=scale, power=2.0)
 
 
 def exponential(name: str, *, bias: float, scale: float, rate: float) -> Expression:
     """Cost `bias + scale * exp(-rate * spread)`."""
-    return _expression(name, _exponential, "({0} + {1} exp(−{2} {spread}))", bias, scale, rate)
+    return pure(scale * function(jnp.exp, -(rate * value(name))) + bias)
 
 
-def cost_curve(name: str, curve: Curve) -> Expression:
+def cost_curve(name: str, curve: Callable[..., Any]) -> Expression:
     """Cost `curve(spread)` by your own function, written with `jax.numpy` so that it can be differentiated."""
     if not callable(curve):
         raise refusal("cost_curve", "a function of the number", curve)
-    return _expression(name, curve, f"{getattr(curve, '__name__', 'curve')}({{spread}})")
+    return function(curve, value(name))

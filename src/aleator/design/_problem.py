@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from aleator._core.arrays import jax_array
-from aleator._core.border import a_name, one_of, positive, real, refusal
+from aleator._core.border import a_name, one_of, positive, real
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
@@ -84,11 +84,9 @@ class Problem(AbstractProblem):
         decisions: Mapping[str, AbstractDecision] | None = None,
         feedback: Feedback | None = None,
     ):
-        if inputs is not None and not isinstance(inputs, Mapping):
-            raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        decisions = {} if decisions is None else decisions
-        if not isinstance(decisions, Mapping):
-            raise refusal("Problem: decisions", "decisions by name, such as {'slack': al.Decision(...)}", decisions)
+        inputs = None if inputs is None else one_of("inputs: signals by name", inputs, Mapping, "{'road': ...}")
+        what = "Problem: decisions by name"
+        decisions = one_of(what, {} if decisions is None else decisions, Mapping, "{'slack': al.Decision(...)}")
         for name, one in decisions.items():
             kinds = Decision, Integer, Choice
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)

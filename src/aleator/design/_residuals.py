@@ -72,13 +72,9 @@ class Measured(AbstractFunctional):
 class SquaredResiduals(AbstractRule):
     """The sum of the squares of `(value - data) / std`; a standard deviation of None divides by nothing."""
 
+    is_never_negative = True
     data: Float[Array | np.ndarray, "times ..."]
     std: Float[Array | np.ndarray, "times ..."] | None
-
-    @property
-    @override
-    def is_never_negative(self) -> bool:
-        return True
 
     def residuals(self, values: Float[Array, "times ..."]) -> Float[Array, "times ..."]:
         """The residuals themselves, in the shape of the values, which may have a last axis of several systems."""

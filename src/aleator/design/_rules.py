@@ -4,7 +4,7 @@ import abc
 import itertools
 import re
 from collections.abc import Callable
-from typing import TypeAlias, final
+from typing import ClassVar, final
 
 import equinox as eqx
 import jax
@@ -12,26 +12,23 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
 from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics import returned
 from aleator.statistics import EXPONENTS, PURE, common, product, quotient, raised, root
 
-Curve: TypeAlias = Callable[..., Float[Array, ""]]
-
 # A name or number without an exponent, or a statistic of one.
 _ELEMENTARY = re.compile(r"[\w.]*[^\W²³¹⁰⁴-⁹](\[[^\[\]]*\])?")
 
 
 class AbstractRule(Module):
-    """A function of the values of some expressions, of which each is one number, or one an instant."""
+    """A function of the values of some expressions, of which each is one number, or one an instant.
 
-    @property
-    def is_never_negative(self) -> bool:
-        """Whether its value is never negative, whatever the expressions are."""
-        return False
+    - `is_never_negative`: whether its value is never negative, whatever the expressions are.
+    """
+
+    is_never_negative: ClassVar[bool] = False
 
     @abc.abstractmethod
     def of(self, *values: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -49,40 +46,23 @@ class AbstractRule(Module):
 
 @final
 class Product(AbstractRule):
-    """The product of two expressions."""
+    """The product of two expressions, or their quotient; not finite where a divisor is zero, which `solve` reports."""
+
+    divides: bool = eqx.field(static=True, default=False)
 
     @override
     def of(self, *values: Array) -> Array:
         first, second = values
-        return first * second
+        return first / second if self.divides else first * second
 
     @override
     def text(self, *texts: str) -> str:
         first, second = texts
-        return f"{_bracketed(first)}·{_bracketed(second, also=' ')}"
+        return _bracketed(first) + (f"/{_alone(second)}" if self.divides else f"·{_bracketed(second, also=' ')}")
 
     @override
     def unit(self, *units: str | None) -> str:
-        return product(*map(_of_factor, units))
-
-
-@final
-class Quotient(AbstractRule):
-    """The quotient of two expressions; not finite where the second is zero, which `solve` reports."""
-
-    @override
-    def of(self, *values: Array) -> Array:
-        first, second = values
-        return first / second
-
-    @override
-    def text(self, *texts: str) -> str:
-        first, second = texts
-        return f"{_bracketed(first)}/{_alone(second)}"
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        return quotient(*map(_of_factor, units))
+        return (quotient if self.divides else product)(*map(_of_factor, units))
 
 
 @final
@@ -92,8 +72,7 @@ class Power(AbstractRule):
     exponent: float = eqx.field(static=True)
 
     @property
-    @override
-    def is_never_negative(self) -> bool:
+    def is_never_negative(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.exponent % 2 == 0
 
     @override
@@ -156,12 +135,8 @@ class Norm(AbstractRounded):
     With a `smoothing` `s`, it is `sqrt(x² + y² + … + s²) - s`: smooth, and at most `s` below the norm.
     """
 
+    is_never_negative = True
     smoothing: float = eqx.field(static=True, default=0.0)
-
-    @property
-    @override
-    def is_never_negative(self) -> bool:
-        return True
 
     @override
     def of(self, *values: Array) -> Array:
@@ -203,12 +178,8 @@ class PositivePart(AbstractRounded):
     With a `smoothing` `s`, it is `(x + sqrt(x² + s²)) / 2`: smooth, positive, and at most `s/2` above.
     """
 
+    is_never_negative = True
     smoothing: float = eqx.field(static=True, default=0.0)
-
-    @property
-    @override
-    def is_never_negative(self) -> bool:
-        return True
 
     @override
     def of(self, *values: Array) -> Array:
@@ -251,24 +222,6 @@ class Own(AbstractRule):
     @override
     def text(self, *texts: str) -> str:
         return f"{self._name}({', '.join(texts)})"
-
-
-@final
-class CostCurve(AbstractRule):
-    """The cost of one number by a curve, whose coefficients are data; `shown`: its text, with places for these."""
-
-    curve: Curve = eqx.field(static=True)
-    shown: str = eqx.field(static=True)
-    coefficients: tuple[Scalar, ...] = ()
-
-    @override
-    def of(self, *values: Array) -> Array:
-        return self.curve(*values, *self.coefficients)
-
-    @override
-    def text(self, *texts: str) -> str:
-        numbers = (f"{float(number):g}" for number in self.coefficients)
-        return self.shown.format(*numbers, spread=texts[0]).replace("(0 + ", "(")
 
 
 def _of_factor(unit: str | None) -> str:

@@ -7,12 +7,11 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
-from aleator._core.border import is_masked, real_array
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.statistics import AbstractStatistic
@@ -95,11 +94,6 @@ class AbstractAtom(Module):
         return ()
 
     @property
-    def integrated(self) -> "tuple[AbstractAtom, ...]":
-        """Its parts that are integrated over time, whose paths are needed at midpoints of steps too."""
-        return ()
-
-    @property
     def measures(self) -> tuple[str, ...]:
         """The functionals in it, as mathematics."""
         return ()
@@ -176,28 +170,6 @@ class AbstractRandom(Module):
     __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = refuse
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __pow__ = refuse
     __lt__ = __le__ = __gt__ = __ge__ = refuse
-
-
-def a_number(value: Any, action: str) -> float:
-    """A finite number as a float. Raises `ProblemError` for anything else: "Only numbers can" do `action`."""
-    if is_masked(value):
-        raise ProblemError(f"Only numbers can {action}; received {value}.")
-    number = value
-    if isinstance(value, np.generic | np.ndarray | Array) and not isinstance(value, Tracer) and value.ndim == 0:
-        number = value.item()
-    if not isinstance(number, int | float) or isinstance(number, bool):
-        raise ProblemError(f"Only numbers can {action}; received {type(value).__name__} '{value}'.")
-    if not np.isfinite(number):
-        raise ProblemError(f"Only finite numbers can {action}; received {number}.")
-    return float(number)
-
-
-def a_smoothing(who: str, value: Any) -> float:
-    """A smoothing as a float. Raises `ProblemError` if it is negative."""
-    number = a_number(value, "smooth")
-    if number < 0:
-        raise ProblemError(f"{who}: expected a smoothing of at least 0; received {number:g}.")
-    return number
 
 
 def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal
+from aleator._core.border import one_of, real, refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, Range
-from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, a_number, ordered
+from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, ordered
 from aleator.dynamics import AbstractGrid, History, Occurrence
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Mean, Std, a_statistic
 
@@ -76,12 +76,14 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     - `is_path`: whether it is one number an instant instead of one number;
     - `needs_time`: whether it is taken over time, which algebraic systems do not have;
     - `order`: of convergence in the step of the grid: 2 for most rules on the instants, such as the largest among
-      them; integrals and values at an instant have the order of the integrator.
+      them; integrals and values at an instant have the order of the integrator;
+    - `symbol`: its text, with places for its outputs.
     """
 
     is_path: ClassVar[bool] = False
     needs_time: ClassVar[bool] = True
     order: ClassVar[int] = 2
+    symbol: ClassVar[str] = ""
     outputs: tuple[str, ...] = eqx.field(static=True)
 
     def __check_init__(self) -> None:
@@ -117,6 +119,10 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         for name, value in fields.items():
             object.__setattr__(one, name, value)
         return one
+
+    @override
+    def text(self) -> str:
+        return self.symbol.format(*self.outputs) or f"{type(self).__name__}({', '.join(self.outputs)})"
 
     @abc.abstractmethod
     def evaluate(self, taken: "Taken", grid: AbstractGrid) -> Float[Array, "..."]:
@@ -208,7 +214,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         self, side: int, sigmas: float, probability: float | None, worst_case: bool, at_points: bool
     ) -> Expression:
         """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
-        multiple = _multiple(self, sigmas)
+        multiple = real(f"'{self.text()}': sigmas", sigmas, least=0.0)
         for name, choice in (("worst_case", worst_case), ("at_points", at_points)):
             if not isinstance(choice, bool):
                 raise refusal(f"'{self.text()}': {name}", "True or False", choice)
@@ -294,13 +300,8 @@ def correlation(first: AbstractFunctional, second: AbstractFunctional) -> Expres
 
 
 def _joint(kind: AbstractStatistic, *functionals: Any) -> Expression:
-    for one in functionals:
-        if not isinstance(one, AbstractFunctional):
-            raise ProblemError(
-                f"A {type(kind).__name__.lower()} is that of two functionals, such as al.rms('x'); "
-                f"received {type(one).__name__} '{one}'."
-            )
-    return statistic(kind, *functionals)
+    what = f"A {type(kind).__name__.lower()} is that of two functionals"
+    return statistic(kind, *(one_of(what, one, AbstractFunctional, "al.rms('x')") for one in functionals))
 
 
 def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
@@ -332,13 +333,6 @@ def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctio
     return tuple(dict.fromkeys(one for atom in atoms for one in atom.functionals))
 
 
-def integrated_paths(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
-    """The paths whose statistics the expressions integrate over time, each once."""
-    atoms = (part for one in expressions for atom in one.atoms for part in atom.integrated)
-    functionals = (one for atom in atoms if isinstance(atom, Statistic) for one in atom.functionals)
-    return tuple(dict.fromkeys(one for one in functionals if one.is_path))
-
-
 def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
     """All statistics in the expressions, in order of appearance."""
     return tuple(atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic))
@@ -349,14 +343,6 @@ def numbers_of(
 ) -> tuple[Float[Array, "..."], ...]:
     """The values of functionals on one realisation, as arrays of real numbers."""
     return tuple(jnp.asarray(one.evaluate(taken, grid.of(one.place)), dtype=float) for one in functionals)
-
-
-def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:
-    """A multiple of a standard deviation as a float. Raises `ProblemError` if it is negative."""
-    number = a_number(sigmas, "multiply a standard deviation")
-    if number < 0:
-        raise ProblemError(f"'{functional.text()}': sigmas must not be negative; received {sigmas}.")
-    return number
 
 
 def is_worst_case(constraint: Constraint) -> bool:

@@ -16,9 +16,9 @@ import numpy as np
 
 from aleator._core import border
 from aleator._core.arrays import Pytree
+from aleator._core.border import json_of
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.executors import ended_with, endings, exit_told, in_group, last_lines, report
-from aleator._core.files import json_of
 from aleator._core.leaves import is_traced
 from aleator.ensemble import name_of
 

@@ -12,9 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
-from aleator._core.border import members
+from aleator._core.border import content_of, members
 from aleator._core.errors import ProblemError
-from aleator._core.files import content_of
 from aleator._core.leaves import transparent
 from aleator.mechanics import Body, Closure, Coupling, Fixed, Multibody
 from aleator.mechanics._bodies import sorted_bodies

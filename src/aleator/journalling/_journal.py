@@ -17,7 +17,6 @@ from aleator._core.identity import DoubtError
 from aleator._core.journalled import (
     AbstractEntry,
     AbstractJournal,
-    AbstractParts,
     NotKeptError,
     Settled,
     called,
@@ -143,14 +142,6 @@ class Recalled(AbstractRecord):
     def _absent(self, why: str) -> NotKeptError:
         self.missing.append(why)
         return NotKeptError(why)
-
-    @override
-    def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
-        return []
-
-    @override
-    def withdraw(self, keys: Sequence[str]) -> None:
-        pass
 
 
 @final
@@ -295,12 +286,8 @@ class _Entry(AbstractEntry):
 
     def __init__(self, record: Journal, begun: Entry):
         self._record, self._begun, self._started = record, begun, time.perf_counter()
+        self.parts = record.parts_of(begun)
         record.append(begun)
-
-    @property
-    @override
-    def parts(self) -> AbstractParts:
-        return self._record.parts_of(self._begun)
 
     @override
     def keep(self, result: Any) -> None:

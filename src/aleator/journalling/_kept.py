@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 from aleator._core.border import Progress, a_name, check_progress, one_of, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.interruption import heeding
 from aleator._core.journalled import journalled
+from aleator._core.parallel import heeding
 
 Result = TypeVar("Result")
 

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple, final
 
-from aleator._core.identity import joined, lasting_digest, lasting_parts
+from aleator._core.identity import joined, lasting_digest, versions
 from aleator.design import Problem
 
 
@@ -37,10 +37,12 @@ class Keys:
 
     def identity(self, what: str, given: Mapping[str, Any]) -> Identity:
         """What a result is that follows from what is given. Raises `DoubtError` if another process could not tell."""
-        parts = lasting_parts({name: self.of(one) or one for name, one in given.items() if not _is_problem(one)})
-        for name, problem in given.items():
-            if _is_problem(problem):
-                parts |= {name: self.problem_digest(problem), "equations": _equations(problem)}
+        parts = {"versions": versions()}
+        for name, one in given.items():
+            if isinstance(one, Problem):
+                parts |= {name: self.problem_digest(one), "equations": _equations(one)}
+            else:
+                parts[name] = lasting_digest(self.of(one) or one)
         key = joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))])
         return Identity(key, done_with(what, given), parts)
 
@@ -53,10 +55,6 @@ def done_with(what: str, given: Mapping[str, Any]) -> str:
     """What is done, with the name of the model."""
     problem = given.get("problem") or getattr(given.get("solution"), "problem", None)
     return f"{what} {type(problem.system).__name__}" if problem is not None else what
-
-
-def _is_problem(it: Any) -> bool:
-    return isinstance(it, Problem)
 
 
 def _parts_of(problem: Problem) -> tuple[Any, ...]:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from aleator._core.border import content_of
 from aleator._core.errors import ProblemError
-from aleator._core.files import content_of
 from aleator._core.programs import is_private
 from aleator.reporting import KINDS, tree, write_whole
 

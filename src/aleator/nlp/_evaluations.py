@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator._core.interruption import noting
+from aleator._core.parallel import noting
 from aleator.nlp._matrices import checked_sparse, entries, with_entries
 from aleator.nlp._program import Evaluation, NonlinearProgram
 

@@ -16,7 +16,7 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.border import Progress, check_progress, silent
 from aleator._core.errors import ProblemError
-from aleator._core.interruption import answering
+from aleator._core.parallel import heeding
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
@@ -124,7 +124,7 @@ class AbstractSearch(AbstractSolver):
         del multipliers  # Values know nothing of them.
         began = time.perf_counter()
         sought, searched = self.seek(program, start)
-        with answering():
+        with heeding(alone=True):
             outcome, is_cut = self._polished(program, sought)
         if is_cut:
             searched = replace(searched, end=f"{searched.end}; polishing was stopped by the user")
@@ -141,7 +141,7 @@ class AbstractSearch(AbstractSolver):
         self.require()
         self._check(program)
         start = program.start if start is None else checked("start", start, program.start.shape)
-        with answering() as heed:
+        with heeding(alone=True) as heed:
             sought = Sought(program, start, (self.evaluations, self.seconds), self.progress, heed)
             if sought.size:
                 self._search(sought)

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import MissingExtraError
-from aleator._core.interruption import take_back
+from aleator._core.parallel import take_back
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import Pattern, rows_of_entries

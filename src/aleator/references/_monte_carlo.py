@@ -20,7 +20,7 @@ from aleator._core.border import Progress, check_progress, silent
 from aleator._core.border import whole as whole_given
 from aleator._core.errors import ProblemError
 from aleator._core.executors import check_executor, each_of
-from aleator._core.journalled import NOTHING, AbstractParts, journalled, part_by_part, parts_so_far
+from aleator._core.journalled import AbstractParts, journalled, part_by_part, parts_so_far
 from aleator.ensemble import (
     AbstractBox,
     AbstractEnsemble,
@@ -268,7 +268,7 @@ def evaluate(
     batch: int,
     progress: Progress,
     by: Evaluate | None = None,
-    so_far: AbstractParts = NOTHING,
+    so_far: AbstractParts | None = None,
 ) -> Pytree:
     """The outputs at points given by their probability levels: NumPy arrays of shape (n, *shape).
 
@@ -324,7 +324,7 @@ def evaluate_kept(
     batch: int,
     progress: Progress,
     by: Evaluate | None,
-    so_far: AbstractParts,
+    so_far: AbstractParts | None,
 ) -> Pytree:
     """The same without the samples that a box leaves out, for methods that can do without some."""
     if not isinstance(ensemble, BoxEnsemble):

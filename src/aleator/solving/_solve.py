@@ -20,9 +20,8 @@ from aleator._core.errors import (
     SolveError,
 )
 from aleator._core.executors import check_executor
-from aleator._core.interruption import heeding
 from aleator._core.journalled import journalled
-from aleator._core.parallel import dropped_on_failure
+from aleator._core.parallel import dropped_on_failure, heeding
 from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
 from aleator.nlp import HELD, AbstractSearch, AbstractSolver, Status

@@ -13,9 +13,8 @@ import equinox as eqx
 import numpy as np
 
 from aleator import solvers, uncertainty
-from aleator._core.border import meant
+from aleator._core.border import content_of, meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.files import content_of
 from aleator.design import Problem, declared_anew, deterministic, units_of
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver

@@ -12,9 +12,9 @@ from typing import Any, TypeAlias, TypeVar, final
 
 from aleator._core.border import Progress, check_progress
 from aleator._core.errors import AleatorError, SimulationError, warned_of
-from aleator._core.executors import check_executor, is_of_this_process, packed, sending
-from aleator._core.interruption import heeding
+from aleator._core.executors import check_executor, each_done, is_of_this_process
 from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
+from aleator._core.parallel import heeding
 from aleator.design import Problem, refuse_other_code
 from aleator.nlp import Status
 from aleator.solution import Solution
@@ -150,26 +150,24 @@ def _at_once(
                 entries[i] = entry_of(work.name, work.follows_from(**call))
         except NotKeptError as error:
             absent = error
-    missing = [i for i, entry in entries.items() if entry.recalled is None]
-    packs = {i: packed(executor, _computed, {"compute": work.compute, "call": calls[i]}) for i in missing}
+    missing = {i: {"compute": work.compute, "call": calls[i]} for i, entry in entries.items() if entry.recalled is None}
+    results = each_done(executor, _computed, missing, places)
     yield from ((i, entry.recalled) for i, entry in entries.items() if entry.recalled is not None)
     if absent is not None:
         raise absent
-    with sending(executor) as sent:
-        for i, pack in packs.items():
-            sent.send(i, pack, places[i])
-        for i, receive in sent.done():
-            try:
-                result = receive()
-            except SimulationError as error:
-                entries[i].failed(error)
-                raise
+    try:
+        for i, result in results:
+            del missing[i]
             if isinstance(result, AleatorError):
                 entries[i].failed(result)
             else:
                 result = result if is_of_this_process(executor) else _with_own_objects(result, calls[i])
                 entries[i].keep(result)
             yield i, result
+    except SimulationError as error:  # of lost workers
+        for i in missing:
+            entries[i].failed(error)
+        raise
 
 
 def _computed(compute: Callable[..., Any], call: Arguments) -> Any:

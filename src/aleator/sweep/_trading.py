@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.border import Progress, a_name, one_of, refusal, silent, whole
 from aleator._core.errors import ProblemError
-from aleator._core.interruption import answering
+from aleator._core.parallel import heeding
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver, load_pymoo, population_front
 from aleator.sweep._runner import Runner, running
@@ -153,7 +153,7 @@ def _crowd(
 
     first = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
     try:
-        with answering() as answer:
+        with heeding(alone=True) as answer:
 
             def heed(done: int) -> None:
                 run.progress("population", done, evaluations)

@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator._core.border import real_array, refuse_not_finite
+from aleator._core.border import content_of, real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
-from aleator._core.files import content_of
 from aleator._core.leaves import realised_shape, stored_numbers
 from aleator.trajectories._signals import AbstractSignal, as_array
 
