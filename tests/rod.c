@@ -26,7 +26,7 @@ typedef fmi3ValueReference Reference;
 #endif
 
 enum { TIME, ANGLE, RATE, ANGLE_RATE, RATE_RATE, MASS, LENGTH, DAMPING, GRAVITY, TORQUE, ENERGY, INERTIA, FAIL_AT, WALL_AT, REALS };
-enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, WRONG_SLOPES, NO_SLOPES_BY_PARAMETERS, REMEMBERS, ABORTS, LOOPS, LEAVES };
+enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, REMEMBERS = 7, ABORTS, LOOPS, LEAVES };
 enum { BEHAVIOUR = 100, STARTED = 101 };
 
 typedef struct {
@@ -74,46 +74,6 @@ static int refresh(Rod *rod) {
     evaluate(rod->v);
     if (rod->behaviour == REMEMBERS) rod->v[RATE_RATE] -= rod->last, rod->last = rod->v[ANGLE];
     if (is_due(rod, IS_NAN)) rod->v[RATE_RATE] = rod->v[ENERGY] = NAN;
-    return OK;
-}
-
-/* The derivative of one variable by another, the rest of the knowns held. */
-static double slope(const double *v, Reference of, Reference by) {
-    double i = inertia(v), half = v[MASS] * v[GRAVITY] * v[LENGTH] / 2, w = v[RATE], a = v[RATE_RATE];
-    if (of == by) return 1;
-    if (of == ANGLE_RATE) return by == RATE ? 1 : 0;
-    if (of == RATE_RATE) switch (by) {
-        case ANGLE: return -half * cos(v[ANGLE]) / i;
-        case RATE: return -v[DAMPING] / i;
-        case DAMPING: return -w / i;
-        case TORQUE: return 1 / i;
-        case MASS: return -half / v[MASS] * sin(v[ANGLE]) / i - a / v[MASS];
-        case LENGTH: return -half / v[LENGTH] * sin(v[ANGLE]) / i - 2 * a / v[LENGTH];
-        case GRAVITY: return -half / v[GRAVITY] * sin(v[ANGLE]) / i;
-    }
-    if (of == ENERGY) switch (by) {
-        case ANGLE: return half * sin(v[ANGLE]);
-        case RATE: return i * w;
-        case MASS: return (i * w * w / 2 + half * (1 - cos(v[ANGLE]))) / v[MASS];
-        case LENGTH: return (i * w * w + half * (1 - cos(v[ANGLE]))) / v[LENGTH];
-        case GRAVITY: return half / v[GRAVITY] * (1 - cos(v[ANGLE]));
-    }
-    return 0;
-}
-
-static int directional(Rod *rod, const Reference *of, size_t n_of, const Reference *by, size_t n_by, const double *seed, double *found) {
-    if (refresh(rod) != OK) return ERROR;
-    for (size_t i = 0; i < n_of; i++) {
-        found[i] = 0;
-        for (size_t j = 0; j < n_by; j++) {
-            int of_parameter = by[j] >= MASS && by[j] <= GRAVITY;
-            if (of_parameter && rod->behaviour == NO_SLOPES_BY_PARAMETERS) {
-                say(rod, ERROR, "no derivatives by parameters");
-                return ERROR;
-            }
-            found[i] += (of_parameter && rod->behaviour == WRONG_SLOPES ? 0 : slope(rod->v, of[i], by[j])) * seed[j];
-        }
-    }
     return OK;
 }
 
@@ -223,7 +183,6 @@ int fmi2GetDerivatives(Rod *rod, double *x, size_t n) {
     if (refresh(rod) != OK) return ERROR;
     return memcpy(x, rod->v + ANGLE_RATE, n * sizeof *x), OK;
 }
-int fmi2GetDirectionalDerivative(Rod *rod, const Reference *of, size_t n_of, const Reference *by, size_t n_by, const double *seed, double *found) { return directional(rod, of, n_of, by, n_by, seed, found); }
 int fmi2NewDiscreteStates(Rod *rod, fmi2EventInfo *info) {
     memset(info, 0, sizeof *info);
     info->valuesOfContinuousStatesChanged = bounce(rod);
@@ -260,7 +219,6 @@ int fmi3GetContinuousStateDerivatives(Rod *rod, double *x, size_t n) {
     if (refresh(rod) != OK) return ERROR;
     return memcpy(x, rod->v + ANGLE_RATE, n * sizeof *x), OK;
 }
-int fmi3GetDirectionalDerivative(Rod *rod, const Reference *of, size_t n_of, const Reference *by, size_t n_by, const double *seed, size_t n_seed, double *found, size_t n_found) { return (void)n_seed, (void)n_found, directional(rod, of, n_of, by, n_by, seed, found); }
 int fmi3UpdateDiscreteStates(Rod *rod, _Bool *again, _Bool *ends, _Bool *nominals, _Bool *states, _Bool *timed, double *next) {
     *again = *nominals = *timed = 0, *next = 0, *states = bounce(rod), *ends = is_due(rod, TERMINATES);
     return OK;

@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +34,13 @@ REALS: list[tuple[str, str, str, str | None, float | None, str]] = [
 UNITS = sorted({found for *_, more in REALS for found in re.findall(r'unit="([^"]+)"', more)})
 
 
-def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
+def description(version: int, *, wall: bool) -> str:
     """The modelDescription.xml of the rod."""
     units = "".join(f'<Unit name="{one}"/>' for one in UNITS)
-    offer = "providesDirectionalDerivative" + ("s" if version == 3 else "")
-    flag = f'{offer}="{str(slopes).lower()}"'
     wants = 'needsCompletedIntegratorStep="true"' if version == 3 else ""
-    offered = (f'<ModelExchange modelIdentifier="rod" {wants} {flag}/>' if "m" in kinds else "") + (
-        '<CoSimulation modelIdentifier="rod" canHandleVariableCommunicationStepSize="true"/>' if "c" in kinds else ""
+    offered = (
+        f'<ModelExchange modelIdentifier="rod" {wants}/>'
+        '<CoSimulation modelIdentifier="rod" canHandleVariableCommunicationStepSize="true"/>'
     )
     variables = "".join(_real(version, place, *one) for place, one in enumerate(REALS))
     if version == 2:
@@ -108,42 +106,26 @@ class Rods:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self._made: dict[Any, Path] = {}
 
-    def __call__(self, version: int = 3, *, wall: bool = False, slopes: bool = True, kinds: str = "mc") -> Path:
-        key = (version, wall, slopes, kinds)
-        if key not in self._made:
-            self._made[key] = self._make(version, wall=wall, slopes=slopes, kinds=kinds)
-        return self._made[key]
+    def __call__(self, version: int = 3, *, wall: bool = False) -> Path:
+        path = self.folder / f"rod{version}{'_wall' * wall}_mc.fmu"
+        if not path.exists():
+            with zipfile.ZipFile(path, "w") as archive:
+                archive.writestr("modelDescription.xml", description(version, wall=wall))
+                archive.write(self.library(version, wall), f"binaries/{platform(version)}")
+        return path
 
     def library(self, version: int, wall: bool) -> Path:
         import fmpy
 
         path = self.folder / f"rod{version}{wall}{fmpy.sharedLibraryExtension}"
-        if not path.exists():
-            stubs = self.folder / f"stubs{version}.c"
-            stubs.write_text(_stubs(version, SOURCE.read_text()))
-            headers = Path(fmpy.__file__).with_name("c-code")
-            options = [f"-DFMI={version}", *(["-DWALL"] if wall else []), "-O2", "-shared", "-fPIC", f"-I{headers}"]
-            built = subprocess.run(
-                ["gcc", *options, str(SOURCE), str(stubs), "-o", str(path), "-lm"], capture_output=True, text=True
-            )
-            assert built.returncode == 0, built.stderr
-        return path
-
-    def _make(self, version: int, *, wall: bool, slopes: bool, kinds: str) -> Path:
-        path = self.folder / f"rod{version}{'_wall' * wall}{'_flat' * (not slopes)}_{kinds}.fmu"
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("modelDescription.xml", description(version, wall=wall, slopes=slopes, kinds=kinds))
-            archive.write(self.library(version, wall), f"binaries/{platform(version)}")
-        return path
-
-    def changed(self, name: str, change: Callable[[str], str], *, at: str = "", content: bytes = b"") -> Path:
-        """The rod of FMI 2 with another description, or with its library at another place, or another library."""
-        path = self.folder / f"{name}.fmu"
-        with zipfile.ZipFile(path, "w") as archive, zipfile.ZipFile(self(2)) as source:
-            archive.writestr("modelDescription.xml", change(source.read("modelDescription.xml").decode()))
-            archive.writestr(at or f"binaries/{platform(2)}", content or self.library(2, False).read_bytes())
+        stubs = self.folder / f"stubs{version}.c"
+        stubs.write_text(_stubs(version, SOURCE.read_text()))
+        headers = Path(fmpy.__file__).with_name("c-code")
+        options = [f"-DFMI={version}", *(["-DWALL"] if wall else []), "-O2", "-shared", "-fPIC", f"-I{headers}"]
+        command = ["gcc", *options, str(SOURCE), str(stubs), "-o", str(path), "-lm"]
+        built = subprocess.run(command, capture_output=True, text=True)
+        assert built.returncode == 0, built.stderr
         return path
 
 

@@ -1,7 +1,7 @@
 """Files that are broken, or describe what a tree has no place for, end in a sentence with the file and the element."""
 
 import pytest
-from robot_pendulums import MJCF, URDF
+from test_robot_pendulums import MJCF, URDF
 
 import aleator as al
 

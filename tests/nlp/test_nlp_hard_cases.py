@@ -1,7 +1,7 @@
 """What makes programs hard: no solution, regions without values, interruptions, offsets and steep starts."""
 
-import builtins
 import signal
+import sys
 
 import nlp_problems as problems
 import numpy as np
@@ -147,14 +147,7 @@ def test_a_start_outside_the_bounds_is_moved_to_them_and_no_point_leaves_them(so
 
 
 def test_without_unopy_filter_sqp_names_the_remedy_and_ipopt_is_the_default(monkeypatch):
-    real = builtins.__import__
-
-    def refuse(name, *arguments, **keywords):
-        if name == "unopy":
-            raise ImportError(name)
-        return real(name, *arguments, **keywords)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    monkeypatch.setitem(sys.modules, "unopy", None)
     with pytest.raises(MissingExtraError, match=r"pip install unopy.*Ipopt\(\)"):
         FilterSQP().solve(problems.hs15())
     assert default_solver() == Ipopt()

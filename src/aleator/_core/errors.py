@@ -5,10 +5,12 @@ Warnings are given at the line that the package was called from, each of many so
 """
 
 import contextlib
+import importlib
 import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 
 class AleatorError(Exception):
@@ -33,6 +35,17 @@ class SolveError(AleatorError, RuntimeError):
 
 class MissingExtraError(AleatorError, ImportError):
     """An optional library is not installed; the message names the command that installs it."""
+
+
+def optional(library: str, who: str, install: str, instead: str = "") -> Any:
+    """A library, imported late. Raises `MissingExtraError`, with what pip installs and what there is `instead`."""
+    try:
+        return importlib.import_module(library)
+    except ImportError as error:
+        name, further = library.partition(".")[0], f", or use {instead}" if instead else ""
+        raise MissingExtraError(
+            f"{who} needs the library {name}: install it with `pip install {install}`{further}."
+        ) from error
 
 
 class AleatorWarning(UserWarning):

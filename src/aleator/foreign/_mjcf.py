@@ -5,7 +5,7 @@ knows in full: what it compiles is what it simulates.
 """
 
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,16 +59,13 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     unheld = (~are_held(model) | ("equality" in left_out)) & (not switched_off)
     notes = refuse_effects(path, {**_effects(model, unheld), **flexes}, left_out)
     joints = joints_of(model)
-    is_bound = not (switched_off or "equality" in left_out)
-    equalities = equalities_of(path, model, joints) if is_bound else Equalities({}, {}, ())
-    try:
-        bodies = list(bodies_of(model, joints))
-    except ProblemError as error:
-        raise broken(path, "", str(error)) from error
+    equalities = Equalities({}, {}, ())
+    if not (switched_off or "equality" in left_out):
+        equalities = equalities_of(path, model, joints)
     limits = dict(_limits(model, joints))
     return robot_of(
         path,
-        bodies,
+        bodies_of(model, joints),
         gravity=_gravity(model),
         limits=limits,
         posture=tuple(posture_of(model, joints).items()),
@@ -128,11 +125,14 @@ def _without_files(path: str | Path, specification: Any) -> Iterator[str]:
 
 def _gives_inertia(specification: Any, geom: Any) -> bool:
     """Whether the inertia of a moving body is computed from a shape."""
-    kinds = library().mjtInertiaFromGeom
+    kinds, moving = library().mjtInertiaFromGeom, geom.parent
+    while moving is not None and moving.name != "world" and not len(moving.joints):
+        moving = moving.parent
     # Bodies of an attached file keep its settings.
     settings = getattr(geom.parent, "compiler", specification.compiler)
     rule, (first, last) = settings.inertiafromgeom, settings.inertiagrouprange
-    if not _moves(geom.parent) or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
+    is_fixed = moving is None or moving.name == "world"
+    if is_fixed or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
         return False
     if rule != kinds.mjINERTIAFROMGEOM_TRUE and geom.parent.explicitinertial:
         return False
@@ -140,17 +140,26 @@ def _gives_inertia(specification: Any, geom: Any) -> bool:
     return geom.mass != 0 and (geom.mass > 0 or geom.density > 0)
 
 
-def _moves(body: Any) -> bool:
-    while body is not None and body.name != "world":
-        if len(body.joints):
-            return True
-        body = body.parent
-    return False
-
-
 def _delete(specification: Any, parts: Collection[Any]) -> None:
     for part in list(parts):
         specification.delete(part)
+
+
+# Effects by the elements that have them: where one of some fields is not zero, unless a flag switches it off.
+_EFFECTS = (
+    ("friction", "joint", ("dof_frictionloss",), ("CONSTRAINT", "FRICTIONLOSS")),
+    ("friction", "tendon", ("tendon_frictionloss",), ("CONSTRAINT", "FRICTIONLOSS")),
+    ("tendons", "tendon", ("tendon_stiffness", "tendon_stiffnesspoly"), ("SPRING",)),
+    ("tendons", "tendon", ("tendon_damping", "tendon_dampingpoly"), ("DAMPER",)),
+    ("tendons", "tendon", ("tendon_armature",), ()),
+    ("ball", "joint", ("jnt_stiffness",), ("SPRING",)),
+    ("ball", "joint", ("dof_damping",), ("DAMPER",)),
+    ("ball", "joint", ("dof_armature",), ()),
+    ("polynomials", "joint", ("jnt_stiffnesspoly",), ("SPRING",)),
+    ("polynomials", "joint", ("dof_dampingpoly",), ("DAMPER",)),
+    ("actuators", "actuator", ("actuator_armature",), ()),
+    ("actuators", "actuator", ("actuator_damping", "actuator_dampingpoly"), ("DAMPER",)),
+)
 
 
 def _effects(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, list[str]]:
@@ -158,57 +167,29 @@ def _effects(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, 
 
     `unheld`: which of the equations, if they are active, are among them.
     """
-    constrained = not is_disabled(model, "CONSTRAINT")
-    springs, dampers = (not is_disabled(model, flag) for flag in ("SPRING", "DAMPER"))
-    rubs = constrained and not is_disabled(model, "FRICTIONLOSS")
+    found: dict[str, list[str]] = {}
+    for effect, kind, fields, flags in _EFFECTS:
+        # Fields that an older MuJoCo does not have are zero.
+        present = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
+        rows = {int(row) for values in present for row in np.argwhere(values)[:, 0]}
+        if fields[0].startswith("dof_"):
+            rows = {int(model.dof_jntid[row]) for row in rows}
+        if effect == "ball":
+            rows = {row for row in rows if model.jnt_type[row] <= 1}
+        found.setdefault(effect, []).extend([] if is_disabled(model, *flags) else _named(model, kind, sorted(rows)))
     # MuJoCo leaves out all passive forces if both are switched off.
-    passive = springs or dampers
-    quaternions = model.jnt_type <= 1
-    loose = quaternions[model.dof_jntid]
-    return {
-        "friction": [
-            *_named(model, "joint", model.dof_jntid[(model.dof_frictionloss != 0) & rubs]),
-            *_named(model, "tendon", (model.tendon_frictionloss != 0) & rubs),
-        ],
-        "equality": _named(model, "equality", model.eq_active0.astype(bool) & unheld),
-        "tendons": _named(
-            model,
-            "tendon",
-            (_nonzero(model, "tendon_stiffness", "tendon_stiffnesspoly") & springs)
-            | (_nonzero(model, "tendon_damping", "tendon_dampingpoly") & dampers)
-            | _nonzero(model, "tendon_armature"),
-        ),
-        "ball": [
-            *_named(model, "joint", np.flatnonzero(quaternions & (model.jnt_stiffness != 0) & springs)),
-            *_named(model, "joint", model.dof_jntid[loose & (model.dof_damping != 0) & dampers]),
-            *_named(model, "joint", model.dof_jntid[loose & (model.dof_armature != 0)]),
-        ],
-        "polynomials": [
-            *_named(model, "joint", np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly") & springs)),
-            *_named(model, "joint", model.dof_jntid[_nonzero(model, "dof_dampingpoly") & dampers]),
-        ],
-        "actuators": _named(
-            model,
-            "actuator",
-            _nonzero(model, "actuator_armature")
-            | (_nonzero(model, "actuator_damping", "actuator_dampingpoly") & dampers),
-        ),
-        "fluid": ["option"] if passive and (model.opt.density > 0 or model.opt.viscosity > 0) else [],
-        "gravcomp": _named(model, "body", (model.body_gravcomp != 0) & passive & any(_gravity(model))),
-        "plugins": _named(model, "body", model.body_plugin >= 0),
+    is_passive = not (is_disabled(model, "SPRING") and is_disabled(model, "DAMPER"))
+    is_weighty, is_fluid = any(_gravity(model)), model.opt.density > 0 or model.opt.viscosity > 0
+    return found | {
+        "equality": _named(model, "equality", np.flatnonzero(model.eq_active0.astype(bool) & unheld)),
+        "fluid": ["option"] if is_passive and is_fluid else [],
+        "gravcomp": _named(model, "body", np.flatnonzero(model.body_gravcomp) if is_passive and is_weighty else []),
+        "plugins": _named(model, "body", np.flatnonzero(model.body_plugin >= 0)),
     }
 
 
-def _nonzero(model: Model, *fields: str) -> Any:
-    """Where one of some fields is not zero; fields that an older MuJoCo does not have are."""
-    values = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
-    rows = [(value != 0).any(axis=tuple(range(1, value.ndim))) for value in values]
-    return np.logical_or.reduce(rows) if rows else False
-
-
-def _named(model: Model, kind: str, where: Any) -> list[str]:
-    """The elements of a kind at some places, or where something is true."""
-    places = np.flatnonzero(where) if np.ndim(where) == 0 or np.asarray(where).dtype == bool else where
+def _named(model: Model, kind: str, places: Iterable[Any]) -> list[str]:
+    """The elements of a kind at some places."""
     names = [(int(i), getattr(model, kind)(int(i)).name) for i in places]
     return [f"{kind} '{name}'" if name else f"{kind} {i} (without a name)" for i, name in names]
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from aleator._core.errors import MissingExtraError
+from aleator._core.errors import optional
 from aleator.foreign._robot import broken, carrier, carriers, geometry, moments, orientation
 from aleator.mechanics import AbstractJoint, Ball, Body, Closure, Coupling, Fixed, Free, Prismatic, Revolute
 
@@ -26,13 +26,7 @@ _SAME = 1e-9
 
 def library() -> Any:
     """MuJoCo, imported late. Raises `MissingExtraError` where it is not installed."""
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingExtraError(
-            "`read_mjcf` needs the library mujoco: install it with `pip install 'aleator[robots]'`."
-        ) from error
-    return mujoco
+    return optional("mujoco", "read_mjcf", "'aleator[robots]'")
 
 
 def is_disabled(model: Model, *flags: str) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from aleator._core.border import one_of, shown
-from aleator._core.errors import MissingExtraError, ProblemError
+from aleator._core.errors import ProblemError, optional
 from aleator.design import Problem, is_at_points, is_worst_case, number_unit, units_of
 from aleator.nlp import Evaluation
 from aleator.statistics import measure
@@ -66,7 +66,7 @@ def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
 @functools.cache
 def _component() -> Any:
     """The class of components, made once OpenMDAO is needed. Raises `MissingExtraError` if it is not installed."""
-    om = _openmdao()
+    om = optional("openmdao.api", "openmdao_component", "'aleator[openmdao]'")
 
     class AleatorComponent(om.ExplicitComponent):
         """A problem of `aleator`; made by `al.foreign.openmdao_component`."""
@@ -138,16 +138,6 @@ def _component() -> Any:
     return AleatorComponent
 
 
-def _openmdao() -> Any:
-    try:
-        import openmdao.api
-    except ImportError as error:
-        raise MissingExtraError(
-            "openmdao_component needs the library OpenMDAO: install it with `pip install 'aleator[openmdao]'`."
-        ) from error
-    return openmdao.api
-
-
 def _names(given: Iterable[str], taken: Collection[str] = ()) -> list[str]:
     """Names that OpenMDAO allows, each once, and none of those `taken`, of which `objective` always is one."""
     found: list[str] = []
@@ -168,24 +158,17 @@ def as_in_openmdao(unit: str) -> str | None:
     It is taken only if it has the same size there as here. So `°C` is unknown, which OpenMDAO converts with an offset:
     a standard deviation has none.
     """
-    measured, text = measure(unit), _spelt(unit)
-    if measured is None or not measured.powers.keys() <= _ROOTS.keys():
-        return None
-    powers = {**measured.powers, "radian": measured.angles}
-    size = _size(text, "*".join(["m/m", *(f"{_ROOTS[name]}**{power}" for name, power in powers.items() if power)]))
-    return text if size is not None and math.isclose(size, measured.size, rel_tol=_DIGITS) else None
-
-
-def _spelt(unit: str) -> str:
-    powered = re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: f"**{found[0].translate(_SUPERSCRIPTS)}", unit.strip())
-    factors = re.sub(r"\s*[·⋅×.]\s*|(?<=[\w)])\s+(?=[\w(])", "*", powered.replace("^", "**"))
-    return factors.replace("°", "deg")
-
-
-def _size(text: str, base: str) -> float | None:
     from openmdao.utils.units import convert_units
 
+    measured = measure(unit)
+    if measured is None or not measured.powers.keys() <= _ROOTS.keys():
+        return None
+    powered = re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: f"**{found[0].translate(_SUPERSCRIPTS)}", unit.strip())
+    factors = re.sub(r"\s*[·⋅×.]\s*|(?<=[\w)])\s+(?=[\w(])", "*", powered.replace("^", "**"))
+    text, powers = factors.replace("°", "deg"), {**measured.powers, "radian": measured.angles}
+    base = "*".join(["m/m", *(f"{_ROOTS[name]}**{power}" for name, power in powers.items() if power)])
     try:
-        return float(convert_units(1.0, text, base))  # pyright: ignore
+        size = float(convert_units(1.0, text, base))  # pyright: ignore
     except Exception:  # whatever Python raises where OpenMDAO evaluates the text
         return None
+    return text if math.isclose(size, measured.size, rel_tol=_DIGITS) else None

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
-from aleator._core.border import content_of, members
+from aleator._core.border import content_of, members, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.mechanics import Body, Closure, Coupling, Fixed, Multibody
@@ -76,9 +76,9 @@ class Robot(Multibody):
 
     def __check_init__(self):
         if not isinstance(self.parts, dict) or not all(isinstance(body, Body) for body in self.parts.values()):
-            raise ProblemError(f"Robot: expected parts as a dictionary of al.Body by name; received {self.parts!r}.")
+            raise refusal("Robot: parts", "a dictionary of al.Body by name", self.parts)
         if sorted(self.order) != sorted(self.parts):
-            raise ProblemError(f"Robot: expected the order of {sorted(self.parts)}; received {self.order!r}.")
+            raise refusal("Robot: order", f"that of {sorted(self.parts)}", self.order)
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -105,7 +105,7 @@ def robot_of(
 ) -> Robot:
     """The robot of some bodies, with further `fields`.
 
-    Raises `ProblemError` for what is no tree, and for a joint that moves no mass.
+    Raises `ProblemError` for bodies that cannot be, for what is no tree, and for a joint that moves no mass.
     """
     try:
         bodies = sorted_bodies(bodies)
@@ -116,20 +116,11 @@ def robot_of(
         if body.parent is not None:
             carried[body.parent] += carried[body.name]
     for body in bodies:
-        moves = not isinstance(body.joint, Fixed) and not getattr(body.joint, "armature", 0)
-        if moves and carried[body.name] == 0:
-            raise broken(
-                path,
-                f"joint '{body.name}'",
-                "expected a joint that moves some mass; received none, neither in its link nor beyond. Give the link "
-                "an <inertial>, or fix the joint.",
-            )
-    return Robot(
-        {body.name: body for body in bodies},
-        order=tuple(body.name for body in bodies),
-        allowed=tuple(limits.items()),
-        **fields,
-    )
+        if not (isinstance(body.joint, Fixed) or getattr(body.joint, "armature", 0) or carried[body.name]):
+            what = "expected a joint that moves some mass; received none, neither in its link nor beyond"
+            raise broken(path, f"joint '{body.name}'", f"{what}. Give the link an <inertial>, or fix the joint.")
+    order = tuple(body.name for body in bodies)
+    return Robot({body.name: body for body in bodies}, order=order, allowed=tuple(limits.items()), **fields)
 
 
 def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str]:
@@ -181,38 +172,32 @@ def broken(path: str | Path, where: str, what: str) -> ProblemError:
 
 
 def root_of(reader: str, path: str | Path, outermost: str) -> Element:
-    """The outermost element of a file. Raises `ProblemError` where it cannot be read, or has another name."""
+    """The outermost element of a file. Raises `ProblemError` where it cannot be read, or has another name.
+
+    Without namespaces: robots' files use prefixes, such as those of other programs, that they do not declare.
+    """
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
     try:
-        root = _parsed(content_of(path))
+        parser.Parse(content_of(path), True)
     except TypeError as error:
-        raise ProblemError(f"{reader}: expected the path of a file; received {path!r}.") from error
-    except (OSError, ValueError, LookupError) as error:
+        raise refusal(reader, "the path of a file", path) from error
+    except (OSError, ValueError, LookupError, expat.ExpatError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise broken(path, "", f"expected a file that can be read; received: {reason}.") from error
-    except expat.ExpatError as error:
-        raise broken(path, "", f"expected XML; received what is none: {error}.") from error
+        raise broken(path, "", f"expected a file of XML that can be read; received: {reason}.") from error
+    root = builder.close()
     if root.tag != outermost:
         other = f" Read it by {_READERS[root.tag]}." if root.tag in _READERS else ""
         raise broken(path, "", f"expected <{outermost}> as the outermost element; received <{root.tag}>.{other}")
     return root
 
 
-def _parsed(text: bytes) -> Element:
-    """XML without namespaces: robots' files use prefixes, such as those of other programs, that they do not declare."""
-    builder, parser = TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    parser.Parse(text, True)
-    return builder.close()
-
-
 def checked_effects(reader: str, given: Any) -> frozenset[str]:
     """The effects that a user leaves out. Raises `ProblemError` for what is none."""
     names = members(f"{reader}: leave_out", [given] if isinstance(given, str) else given, str)
-    for name in names:
-        if name not in EFFECTS:
-            raise ProblemError(f"{reader}: leave_out: expected some of {sorted(EFFECTS)}; received {name!r}.")
+    if unknown := [name for name in names if name not in EFFECTS]:
+        raise refusal(f"{reader}: leave_out", f"some of {sorted(EFFECTS)}", unknown[0])
     return frozenset(names)
 
 
@@ -223,13 +208,11 @@ def refuse_effects(
 
     Raises `ProblemError` for one that is not left out.
     """
-    found = {name: list(dict.fromkeys(elements)) for name, elements in effects.items()}
-    found = {name: elements for name, elements in found.items() if elements}
-    shown = {
-        name: ", ".join(elements[:3]) + (f" and {len(elements) - 3} more" if len(elements) > 3 else "")
-        for name, elements in found.items()
-    }
-    if missing := tuple(name for name in found if name not in left_out):
+    shown: dict[str, str] = {}
+    for name, elements in effects.items():
+        if found := list(dict.fromkeys(elements)):
+            shown[name] = ", ".join(found[:3]) + f" and {len(found) - 3} more" * (len(found) > 3)
+    if missing := tuple(name for name in shown if name not in left_out):
         what = f"a tree of bodies has no place for {EFFECTS[missing[0]]}"
         raise broken(path, shown[missing[0]], f"{what}. Or read the robot without it by leave_out={missing!r}.")
     return tuple(f"Left out, as asked: {name} ({elements})." for name, elements in shown.items())

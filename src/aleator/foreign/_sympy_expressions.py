@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.border import meant, refusal, shown
-from aleator._core.errors import MissingExtraError, ProblemError
+from aleator._core.errors import ProblemError, optional
 from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
@@ -31,14 +31,7 @@ _GOLDEN = np.array([(5**0.5 - 1) / 2, (3 - 5**0.5) / 2])
 
 def load_sympy(who: str) -> Any:
     """SymPy, imported late. Raises `MissingExtraError` if it is not installed."""
-    try:
-        import sympy
-        import sympy.physics.mechanics
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{who} needs the library SymPy: install it with `pip install 'aleator[sympy]'`."
-        ) from error
-    return sympy
+    return [optional(library, who, "'aleator[sympy]'") for library in ("sympy.physics.mechanics", "sympy")][1]
 
 
 def structure(field: str, name: str, kind: Callable[[Any], Any] = tuple) -> Any:

@@ -4,6 +4,7 @@ Of a URDF, dynamics need a handful of elements, which are all read here: a libra
 and would not say which element is wrong. Nothing is computed from geometry, which this format does not do either.
 """
 
+import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -105,24 +106,29 @@ class _Place(NamedTuple):
             raise self.broken(f"expected the attribute {attribute}; received none.")
         return found
 
-    def numbers(self, attribute: str, default: Sequence[float] | None = None, count: int = 3) -> tuple[float, ...]:
+    def numbers(self, attribute: str, default: Any = None, count: int = 3) -> tuple[float, ...]:
         """So many finite numbers. Raises `ProblemError` for others."""
         if default is not None and attribute not in self.element.attrib:
             return tuple(default)
-        text = self.text(attribute)
-        try:
+        text, found = self.text(attribute), ()
+        with contextlib.suppress(ValueError):
             found = tuple(map(float, text.split()))
-        except ValueError:
-            found = ()
         # Python takes 1_000 for a number, and no other reader of these files does.
         if len(found) != count or "_" in text or not np.isfinite(found).all():
-            expected = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise self.broken(f"expected {attribute} as {expected}; received {text!r}.")
+            raise self.broken(f"expected {attribute} as finite numbers, {count} of them; received {text!r}.")
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
         """One finite number. Raises `ProblemError` for others."""
         return self.numbers(attribute, None if default is None else (default,), 1)[0]
+
+    @contextlib.contextmanager
+    def naming(self) -> Iterator[None]:
+        """Have errors of a block say where they arose."""
+        try:
+            yield
+        except ProblemError as error:
+            raise self.broken(str(error)) from error
 
     def broken(self, what: str) -> ProblemError:
         """The error that says what is wrong here."""
@@ -182,11 +188,9 @@ def _joint(joint: _Place, kind: str) -> AbstractJoint:
         return Free()
     damping = joint.child("dynamics").number("damping", 0.0)
     axis = geometry(joint.child("axis").numbers("xyz", (1, 0, 0)))
-    try:
+    with joint.naming():
         found = _AXIAL[kind](axis, damping=damping or 0, stiffness=0, rest=0, armature=0)
         found.refuse_impossible()
-    except ProblemError as error:
-        raise joint.broken(str(error)) from error
     return found
 
 
@@ -197,7 +201,7 @@ def _body(link: _Place, parent: str | None, joint: Any, place: Sequence[Any] = (
     origin, given = inertial.child("origin"), inertial.child("inertia")
     xx, yy, zz, xy, xz, yz = (given.number(f"i{name}", default) for name in ("xx", "yy", "zz", "xy", "xz", "yz"))
     turned = Rotation.from_euler("xyz", origin.numbers("rpy", (0, 0, 0)))
-    try:
+    with link.naming():
         return Body(
             link.text("name"),
             parent=parent,
@@ -208,18 +212,18 @@ def _body(link: _Place, parent: str | None, joint: Any, place: Sequence[Any] = (
             position=place[0],
             orientation=place[1],
         )
-    except ProblemError as error:
-        raise link.broken(str(error)) from error
 
 
 def _effects(joints: Mapping[str, _Place]) -> dict[str, list[str]]:
     """Effects for which a tree has no place, with the joints that have them."""
     found: dict[str, list[str]] = {"mimic": [], "friction": [], "ball": [], "extensions": []}
-    for joint in (joint for joint in joints.values() if joint.text("type") != "fixed"):
+    for joint in joints.values():
+        if (kind := joint.text("type")) == "fixed":
+            continue
         dynamics = joint.child("dynamics")
-        found["mimic"] += [joint.where] if joint.has("mimic") else []
-        found["friction"] += [joint.where] if dynamics.number("friction", 0.0) else []
-        found["ball"] += [joint.where] if joint.text("type") == "floating" and dynamics.number("damping", 0.0) else []
+        found["mimic"] += [joint.where] * joint.has("mimic")
+        found["friction"] += [joint.where] * (dynamics.number("friction", 0.0) != 0)
+        found["ball"] += [joint.where] * (kind == "floating" and dynamics.number("damping", 0.0) != 0)
         others = sorted(dynamics.element.attrib.keys() - {"damping", "friction"})
         found["extensions"] += [f"{joint.where} ({name})" for name in others]
     return found

@@ -4,12 +4,12 @@ from aleator.nlp._elastic import Excess as Excess
 from aleator.nlp._elastic import least_excess as least_excess
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
-from aleator.nlp._matrices import Matrix as Matrix
-from aleator.nlp._matrices import SparseMatrix as SparseMatrix
-from aleator.nlp._matrices import with_entries as with_entries
 from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
+from aleator.nlp._program import Matrix as Matrix
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
+from aleator.nlp._program import SparseMatrix as SparseMatrix
+from aleator.nlp._program import with_entries as with_entries
 from aleator.nlp._restarts import UNBOUNDED as UNBOUNDED
 from aleator.nlp._restarts import Restart as Restart
 from aleator.nlp._restarts import lost_variables as lost_variables

@@ -4,15 +4,14 @@ differences of first ones, where an approximation gets no further.
 
 import contextlib
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.parallel import noting
-from aleator.nlp._matrices import checked_sparse, entries, with_entries
-from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._program import Evaluation, NonlinearProgram, checked_sparse, entries, with_entries
 
 
 @final
@@ -111,15 +110,13 @@ class Evaluations:
             raise NotFiniteError
         return evaluation
 
-    @contextlib.contextmanager
-    def noting_interrupts(self) -> Iterator[None]:
+    def noting_interrupts(self) -> contextlib.AbstractContextManager[None]:
         """Keep a Ctrl-C that arrives inside a solver's own code, where the exception itself would be swallowed."""
 
         def note() -> None:
             self.halt = self.halt or KeyboardInterrupt()
 
-        with noting(note):
-            yield
+        return noting(note)
 
     def _compute(self, key: bytes, x: np.ndarray) -> None:
         program = self._program

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._matrices import Pattern
+from aleator.nlp._program import Pattern
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
 from aleator.nlp._verdict import HELD, Answer
@@ -219,7 +219,7 @@ class Ipopt(AbstractLocalSolver):
         }
         if scaled.curved is not None:
             # MUMPS's default ordering takes most of the time if many rows share a variable.
-            is_broad = scaled.breadth >= _BROAD
+            is_broad = scaled.program.breadth >= _BROAD
             options["ipopt.mumps_pivot_order"] = _NESTED_DISSECTION if is_broad else _APPROXIMATE_MINIMUM_DEGREE
         if warm:
             options |= {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}

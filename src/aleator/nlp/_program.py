@@ -1,14 +1,22 @@
-"""The nonlinear program: objective, constraints, bounds, derivatives and typical magnitudes."""
+"""The nonlinear program: objective, constraints, bounds, derivatives and typical magnitudes; its matrices.
 
+A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy loads a module when it is first used: programs of
+few variables never need the sparse one.
+"""
+
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
+import scipy
 
-from aleator._core.border import shown
 from aleator._core.errors import ProblemError
-from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
+
+# SciPy's sparse arrays are hardly typed.
+SparseMatrix: TypeAlias = Any
+Matrix: TypeAlias = np.ndarray | SparseMatrix
 
 
 class Evaluation(NamedTuple):
@@ -125,7 +133,7 @@ class NonlinearProgram:
             object.__setattr__(self, name, array)
         if isinstance(self.sparsity, np.ndarray) and self.sparsity.shape != shape:
             raise ProblemError(f"Expected `sparsity` of shape {shape}. Received shape {self.sparsity.shape}.")
-        if self.sparsity is not None and not isinstance(self.sparsity, np.ndarray):
+        if not isinstance(self.sparsity, np.ndarray | None):
             check_sparsity("sparsity", self.sparsity, shape)
         if self.hessian is not None:
             check_sparsity("hessian", curved := self.hessian.sparsity, (size, size))
@@ -133,22 +141,188 @@ class NonlinearProgram:
                 raise ProblemError(
                     "Expected the lower triangle of `hessian` alone; received entries above its diagonal."
                 )
-        for prefix, bounds in (("", Sides(self.lower, self.upper)), ("constraint_", self.limits)):
-            if (bad := ~((bounds.lower <= bounds.upper) & (bounds.lower < np.inf) & (bounds.upper > -np.inf))).any():
-                first = int(np.argmax(bad))
-                raise ProblemError(
-                    f"Expected `{prefix}lower` <= `{prefix}upper`. Received {bounds.lower[first]} and "
-                    f"{bounds.upper[first]} at index {first}."
-                )
-        for name in ("variable_scale", "constraint_scale"):
-            scale = getattr(self, name)
-            if (bad := ~(np.isfinite(scale) & (scale > 0))).any():
-                first = int(np.argmax(bad))
-                raise ProblemError(f"Expected `{name}` positive and finite. Received {scale[first]} at index {first}.")
-        if not np.isfinite(self.start).all():
-            raise ProblemError(f"Expected a finite `start`; received {shown(self.start)}.")
+        checks = [
+            (f"`{name}lower` <= `{name}upper`", (low, high), (low <= high) & (low < np.inf) & (high > -np.inf))
+            for name, low, high in (("", self.lower, self.upper), ("constraint_", *self.limits))
+        ]
+        checks += [
+            (f"`{name}` positive and finite", (scale,), np.isfinite(scale) & (scale > 0))
+            for name, scale in (("variable_scale", self.variable_scale), ("constraint_scale", self.constraint_scale))
+        ]
+        for expected, values, holds in (*checks, ("a finite `start`", (self.start,), np.isfinite(self.start))):
+            if not holds.all():
+                first = int(np.argmin(holds))
+                received = " and ".join(str(one[first]) for one in values)
+                raise ProblemError(f"Expected {expected}. Received {received} at index {first}.")
 
     @property
     def limits(self) -> Sides:
         """The bounds of the constraints."""
         return Sides(self.constraint_lower, self.constraint_upper)
+
+
+# --- Matrices, dense or sparse --------------------------------------------------------------------------------------
+
+# Steps of a bounded fit of sparse columns, each of as many products at most; and numbers multiplied in all, about a
+# second of them.
+_LEAST_STEPS, _MOST_STEPS, _MOST_WORK = 5, 100, 4e8
+
+
+def entries(matrix: Matrix) -> np.ndarray:
+    """The numbers of a matrix; of a sparse one its stored entries."""
+    return matrix if isinstance(matrix, np.ndarray) else matrix.data
+
+
+def rows_of_entries(matrix: SparseMatrix) -> np.ndarray:
+    """The row of each entry, shape (entries,)."""
+    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
+def with_entries(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
+    """The matrix with these entries, in the order of a sparsity."""
+    # The constructor would check the sparsity each time.
+    found = copy.copy(sparsity)
+    found.data = numbers
+    return found
+
+
+def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
+    """The largest `|w_i A_ij|`; zero if there is none."""
+    if isinstance(matrix, np.ndarray):
+        used = np.flatnonzero(weights)
+        return float(np.abs(weights[used, None] * matrix[used]).max(initial=0.0))
+    return float(np.abs(weights[rows_of_entries(matrix)] * matrix.data).max(initial=0.0))
+
+
+def zero_columns(matrix: Matrix) -> np.ndarray:
+    """Which columns are zero, shape (n,)."""
+    if isinstance(matrix, np.ndarray):
+        return np.logical_not(matrix.any(axis=0))
+    return ~np.isin(np.arange(matrix.shape[1]), matrix.indices[matrix.data != 0])
+
+
+def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
+    """Some rows as a dense array."""
+    return matrix[rows] if isinstance(matrix, np.ndarray) else matrix[rows].toarray()
+
+
+def above_identity(matrix: Matrix) -> Matrix:
+    """A matrix of shape (m, n) above the identity: shape (m + n, n), the slopes of rows and variables."""
+    if isinstance(matrix, np.ndarray):
+        return np.concatenate([matrix, np.eye(matrix.shape[1])])
+    return scipy.sparse.vstack([matrix, scipy.sparse.eye_array(matrix.shape[1])], format="csr")
+
+
+def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
+    """Weights `w >= 0` for which `w @ rows` is closest to a target; zeros, which prove nothing, if not found.
+
+    For sparse rows the search is cut short.
+    """
+    if isinstance(rows, np.ndarray):
+        try:
+            return scipy.optimize.nnls(rows.T, target)[0]
+        except RuntimeError:
+            # SciPy raises this when its iterations are used up.
+            return np.zeros(len(rows))
+    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(rows.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
+    short = {"method": "trf", "max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
+    return scipy.optimize.lsq_linear(rows.T.tocsr(), target, (0.0, np.inf), **short).x
+
+
+@final
+class Block:
+    """Some rows and columns of matrices that share a sparsity, times a factor for each entry.
+
+    - `sparsity`: of the block.
+    """
+
+    def __init__(self, sparsity: SparseMatrix, rows: np.ndarray, columns: np.ndarray):
+        numbered = with_entries(sparsity, np.arange(1, sparsity.nnz + 1))[rows][:, columns]
+        numbered.sort_indices()
+        self._places = numbered.data - 1
+        self.sparsity = with_entries(numbered, np.ones(numbered.nnz, dtype=bool))
+        self._rows = rows_of_entries(numbered)
+
+    def factors(self, row_factors: np.ndarray, column_factors: np.ndarray) -> np.ndarray:
+        """The factor of each entry, shape (entries,), from those of rows and columns."""
+        return row_factors[self._rows] * column_factors[self.sparsity.indices]
+
+    def of(self, matrix: SparseMatrix, factors: np.ndarray) -> SparseMatrix:
+        """The block of one of these matrices, times the factors of its entries."""
+        return with_entries(self.sparsity, matrix.data[self._places] * factors)
+
+
+def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
+    """Refuse anything but a sparsity of this shape: a `csr_array` with sorted columns and no duplicates."""
+    is_sparse = isinstance(sparsity, scipy.sparse.csr_array) and sparsity.shape == shape
+    if not is_sparse or not sparsity.has_canonical_format:
+        raise ProblemError(
+            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}, its columns in order and no entry twice "
+            f"(call sum_duplicates()). Received {type(sparsity).__name__} of shape {getattr(sparsity, 'shape', None)}."
+        )
+
+
+def checked_sparse(name: str, matrix: Any, sparsity: SparseMatrix) -> SparseMatrix:
+    """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
+    if not (
+        isinstance(matrix, scipy.sparse.csr_array)
+        and matrix.shape == sparsity.shape
+        and np.array_equal(matrix.indptr, sparsity.indptr)
+        and np.array_equal(matrix.indices, sparsity.indices)
+    ):
+        raise ProblemError(
+            f"Expected the {name} as a scipy.sparse.csr_array with the sparsity declared, {sparsity.nnz} entries in "
+            f"shape {sparsity.shape}; received {getattr(matrix, 'nnz', type(matrix).__name__)} in shape "
+            f"{np.shape(matrix)}, or others. Keep zeros in place."
+        )
+    return with_entries(sparsity, np.array(matrix.data, dtype=float))
+
+
+# Beyond this share of nonzero entries, sparsity saves nothing.
+_DENSE = 0.7
+
+
+@final
+class Pattern:
+    """The entries of a Jacobian that a solver works with: declared if the sparsity is sparse, a guess if it is dense.
+
+    - `rows`, `columns`: of the entries, column by column, shape (entries,);
+    - `outgrown`: whether a nonzero entry has turned up outside a guess.
+    """
+
+    def __init__(self, sparsity: Matrix):
+        self.outgrown = False
+        if isinstance(sparsity, np.ndarray):
+            is_dense = sparsity.size == 0 or bool(np.mean(sparsity != 0) > _DENSE)
+            self.columns, self.rows = np.nonzero(np.ones_like(sparsity.T) if is_dense else sparsity.T)
+        else:
+            self._order = np.argsort(sparsity.indices, kind="stable")
+            self.rows, self.columns = rows_of_entries(sparsity)[self._order], sparsity.indices[self._order]
+
+    def entries(self, jacobian: Matrix) -> np.ndarray:
+        """The entries of a Jacobian of shape (m, n), shape (entries,)."""
+        if not isinstance(jacobian, np.ndarray):
+            return jacobian.data[self._order]
+        inside = jacobian[self.rows, self.columns]
+        self.outgrown = self.outgrown or bool(np.count_nonzero(jacobian) > np.count_nonzero(inside))
+        return inside
+
+
+# Rows that depend on one another are told apart by so much of their size.
+_DEPENDENT = 1e-10
+
+
+def projected(rows: Matrix, units: np.ndarray) -> np.ndarray:
+    """Directions, shape (n, k), without what changes some rows, shape (m, n)."""
+    if isinstance(rows, np.ndarray):
+        return units - np.linalg.lstsq(rows, rows @ units, rcond=None)[0]
+    # By the equations `[I, A'; A, -d I] [step; pushes] = [unit; 0]`.
+    sizes = abs(rows).max(axis=1).toarray().ravel()
+    scaled = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0)) @ rows
+    count, size = scaled.shape
+    small = scipy.sparse.diags_array(np.full(count, -_DEPENDENT))
+    every = scipy.sparse.block_array([[scipy.sparse.eye_array(size), scaled.T], [scaled, small]], format="csc")
+    # Quasi-definite: any order of the diagonal serves as pivots.
+    order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    right = np.concatenate([units, np.zeros((count, units.shape[1]))])
+    return scipy.sparse.linalg.splu(every, **order).solve(right)[:size]

@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.nlp._curvature import descent
+from aleator.nlp._certificate import descent
 from aleator.nlp._evaluations import MOST_DIFFERENCED
-from aleator.nlp._matrices import zero_columns
-from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._program import Evaluation, NonlinearProgram, zero_columns
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._solver import Outcome, Status
 from aleator.nlp._verdict import HELD

@@ -7,8 +7,7 @@ import numpy as np
 import scipy
 
 from aleator.nlp._evaluations import MOST_DIFFERENCED, Evaluations, NotFiniteError, Straightness, changes_of
-from aleator.nlp._matrices import Block, Matrix, checked_sparse
-from aleator.nlp._program import Evaluation, NonlinearProgram, Sides
+from aleator.nlp._program import Block, Evaluation, Matrix, NonlinearProgram, Sides, checked_sparse
 
 
 @final
@@ -73,6 +72,7 @@ class ScaledProgram:
     It has only free variables and useful rows: points `z` have shape (n_free,), constraints shape (m_useful,). The
     model is never evaluated outside the bounds.
 
+    - `program`: the user's;
     - `size`, `rows`: n_free and m_useful; `useful`: which of the constraints these are, shape (m,);
     - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m_useful, n_free), dense or sparse as the
       Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian
@@ -89,7 +89,7 @@ class ScaledProgram:
     """
 
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
-        self._program = program
+        self.program = program
         self._free = program.lower < program.upper
         self.useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
         self._variable_scale = program.variable_scale[self._free]
@@ -144,8 +144,8 @@ class ScaledProgram:
             self._jacobian_factor = self._variable_scale / divisors[:, None]
         else:
             self._jacobian_factor = self._block.factors(1 / divisors, self._variable_scale)
-        self.constraint_lower = self._program.constraint_lower[self.useful] / divisors
-        self.constraint_upper = self._program.constraint_upper[self.useful] / divisors
+        self.constraint_lower = self.program.constraint_lower[self.useful] / divisors
+        self.constraint_upper = self.program.constraint_upper[self.useful] / divisors
         self._last = None
         if self.best is not None:
             # In other scales another point may be the least violated.
@@ -166,14 +166,14 @@ class ScaledProgram:
 
     def sizes_at(self, z: np.ndarray, user: Evaluation) -> np.ndarray:
         """Sizes of the useful constraints at `z` with its evaluation in user units, shape (m_useful,)."""
-        program = self._program
+        program = self.program
         sizes = program.constraint_scale if program.sizes is None else program.sizes(self.unscaled(z), user)
         return sizes[self.useful]
 
     @property
     def every_scale(self) -> np.ndarray:
         """The current scales of all constraints, shape (m,)."""
-        scales = self._program.constraint_scale.copy()
+        scales = self.program.constraint_scale.copy()
         scales[self.useful] = self.scales.constraints
         return scales
 
@@ -183,14 +183,14 @@ class ScaledProgram:
         Infinite if no lower bound is known.
         """
         change = float(np.abs(user.gradient[self._free] * self._variable_scale).sum())
-        return max(user.objective - self._program.least, 0.0) / change if change > 0 else np.inf
+        return max(user.objective - self.program.least, 0.0) / change if change > 0 else np.inf
 
     def unscaled(self, z: np.ndarray) -> np.ndarray:
         """All variables in user units, shape (n,), within their bounds."""
         x = self._fixed_variables.copy()
         # Rounding of the quotient must not carry a variable past its bound.
         x[self._free] = z * self._variable_scale
-        return np.clip(x, self._program.lower, self._program.upper)
+        return np.clip(x, self.program.lower, self.program.upper)
 
     def user(self, z: np.ndarray) -> Evaluation:
         """The evaluation of `z` in user units, which may be non-finite."""
@@ -234,7 +234,7 @@ class ScaledProgram:
         `weight` is that of the scaled objective, `multipliers` those of the useful scaled rows. Raises `NotFiniteError`
         if some entries are not finite, `HaltedError` if the solve must end.
         """
-        program, block = self._program, self._hessian_block
+        program, block = self.program, self._hessian_block
         if program.hessian is None or block is None:
             return self._differenced(z, weight, multipliers)
         rows = np.zeros(self.useful.size)
@@ -279,10 +279,10 @@ class ScaledProgram:
         columns = changes_of(slope, z, (self.lower, self.upper), np.diag(size)) / size
         return ((columns + columns.T) / 2)[np.tril_indices(self.size)]
 
-    @property
-    def breadth(self) -> int:
-        """See `NonlinearProgram`."""
-        return self._program.breadth
+    def curvature(self, z: np.ndarray, multipliers: Multipliers, directions: np.ndarray) -> np.ndarray:
+        """Derivatives of the Lagrangian's slope along directions, shape (n_free, k): see `changes_of`."""
+        bounds = self.lower, self.upper
+        return changes_of(lambda point: multipliers.slope(self.evaluate(point)), z, bounds, directions)
 
     @property
     def start_objective(self) -> float:

@@ -75,6 +75,8 @@ class AbstractSearch(AbstractSolver):
     polish: bool = True
     progress: Progress = silent
 
+    method: ClassVar[str]
+    """Name and version of the method."""
     needs_bounds: ClassVar[bool] = True
     at_once: ClassVar[bool] = True
     """Whether it asks for many points in one call, which an executor can share."""
@@ -97,11 +99,6 @@ class AbstractSearch(AbstractSolver):
 
         `first`: points evaluated already, the best one first.
         """
-
-    @property
-    @abc.abstractmethod
-    def method(self) -> str:
-        """Name and version of the method."""
 
     @property
     @override
@@ -150,24 +147,20 @@ class AbstractSearch(AbstractSolver):
         return sought, Searched(self.method, *sought.history, sought.end, sought.seconds)
 
     def _check(self, program: NonlinearProgram) -> None:
-        who = type(self).__name__
         free = program.lower < program.upper
-        if program.sparsity is not None and not isinstance(program.sparsity, np.ndarray):
-            raise ProblemError(
-                f"{who} knows no derivatives and cannot hold equations of motion as constraints: expected a program "
-                "whose states are simulated, by transcription=al.Sequential(); received a sparse one."
-            )
-        if int(free.sum()) > _MOST_VARIABLES:
-            raise ProblemError(
-                f"{who} searches without derivatives: expected at most {_MOST_VARIABLES} variables; received "
-                f"{int(free.sum())}. Use al.solvers.FilterSQP() or al.solvers.Ipopt()."
-            )
         open_ended = free & ~(np.isfinite(program.lower) & np.isfinite(program.upper))
-        if self.needs_bounds and open_ended.any():
-            raise ProblemError(
-                f"{who} searches between bounds: expected finite bounds of every variable; variable "
-                f"{int(np.flatnonzero(open_ended)[0])} has none."
+        if not isinstance(program.sparsity, np.ndarray | None):
+            what = (
+                "a program whose states are simulated, by transcription=al.Sequential(), since it knows no derivatives "
+                "and cannot hold equations of motion as constraints; received a sparse one"
             )
+        elif (count := int(free.sum())) > _MOST_VARIABLES:
+            what = f"at most {_MOST_VARIABLES} variables; received {count}. Use al.solvers.FilterSQP() or Ipopt()"
+        elif self.needs_bounds and open_ended.any():
+            what = f"finite bounds of every variable; variable {int(np.argmax(open_ended))} has none"
+        else:
+            return
+        raise ProblemError(f"{type(self).__name__} searches without derivatives: expected {what}.")
 
     def _search(self, sought: Sought) -> None:
         generator = np.random.default_rng(self.seed)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.errors import MissingExtraError
+from aleator._core.errors import optional
 from aleator.nlp._search import AbstractSearch
 from aleator.nlp._sought import Sought
 
@@ -35,11 +35,7 @@ class NelderMead(AbstractSearch):
 
     needs_bounds: ClassVar[bool] = False
     at_once: ClassVar[bool] = False
-
-    @property
-    @override
-    def method(self) -> str:
-        return f"Nelder-Mead (SciPy {scipy.__version__})"
+    method: ClassVar[str] = f"Nelder-Mead (SciPy {scipy.__version__})"
 
     @override
     def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
@@ -70,11 +66,7 @@ class DualAnnealing(AbstractSearch):
     """
 
     at_once: ClassVar[bool] = False
-
-    @property
-    @override
-    def method(self) -> str:
-        return f"dual annealing (SciPy {scipy.__version__})"
+    method: ClassVar[str] = f"dual annealing (SciPy {scipy.__version__})"
 
     @override
     def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
@@ -104,11 +96,7 @@ class Direct(AbstractSearch):
     """
 
     at_once: ClassVar[bool] = False
-
-    @property
-    @override
-    def method(self) -> str:
-        return f"DIRECT (SciPy {scipy.__version__})"
+    method: ClassVar[str] = f"DIRECT (SciPy {scipy.__version__})"
 
     @override
     def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
@@ -148,10 +136,7 @@ class DifferentialEvolution(AbstractSearch):
         super().__post_init__()
         border.whole("DifferentialEvolution: population", self.population, least=_FEWEST_MUTATED)
 
-    @property
-    @override
-    def method(self) -> str:
-        return f"differential evolution (SciPy {scipy.__version__})"
+    method: ClassVar[str] = f"differential evolution (SciPy {scipy.__version__})"
 
     @override
     def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
@@ -203,8 +188,8 @@ class CmaEs(AbstractSearch):
         _library()
 
     @property
-    @override
-    def method(self) -> str:
+    def method(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Name and version of the method."""
         _library()
         return f"CMA-ES (cmaes {importlib.metadata.version('cmaes')})"
 
@@ -228,14 +213,7 @@ class CmaEs(AbstractSearch):
 
 
 def _library() -> Any:
-    try:
-        import cmaes
-    except ImportError as error:
-        raise MissingExtraError(
-            "`CmaEs` needs the library cmaes: install it with `pip install 'aleator[cma]'`, or use "
-            "al.solvers.DifferentialEvolution()."
-        ) from error
-    return cmaes
+    return optional("cmaes", "CmaEs", "'aleator[cma]'", "al.solvers.DifferentialEvolution()")
 
 
 # Points of a generation for each point of the front that is asked for, and the fewest.
@@ -246,14 +224,8 @@ _WORST = 1e30
 
 def load_pymoo(who: str) -> tuple[Any, Any]:
     """NSGA-II and the base of problems, imported late. Raises `MissingExtraError` if pymoo is not installed."""
-    try:
-        from pymoo.algorithms.moo.nsga2 import NSGA2
-        from pymoo.core.problem import Problem
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{who} needs the library pymoo: install it with `pip install 'aleator[fronts]'`."
-        ) from error
-    return NSGA2, Problem
+    nsga2 = optional("pymoo.algorithms.moo.nsga2", who, "'aleator[fronts]'")
+    return nsga2.NSGA2, optional("pymoo.core.problem", who, "'aleator[fronts]'").Problem
 
 
 def population_front(

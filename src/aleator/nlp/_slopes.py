@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.nlp._matrices import dense_rows
-from aleator.nlp._program import NonlinearProgram
+from aleator.nlp._program import NonlinearProgram, dense_rows
 
 # Lengths of the steps, in typical magnitudes of the variables, and of those over which effects are measured, since an
 # exact slope may be zero at an optimum.

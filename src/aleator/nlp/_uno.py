@@ -8,12 +8,11 @@ import numpy as np
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.errors import MissingExtraError
+from aleator._core.errors import MissingExtraError, optional
 from aleator._core.parallel import take_back
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._matrices import Pattern, rows_of_entries
-from aleator.nlp._program import Evaluation
+from aleator.nlp._program import Evaluation, Pattern, rows_of_entries
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
 from aleator.nlp._verdict import Answer
@@ -29,13 +28,7 @@ _CLAIMS = {
 
 def _unopy(who: str) -> Any:
     """The library, imported late. Raises `MissingExtraError` if it is not installed."""
-    try:
-        import unopy
-    except ImportError as error:
-        raise MissingExtraError(
-            f"`{who}` needs the library unopy: install it with `pip install unopy`, or use al.solvers.Ipopt()."
-        ) from error
-    return unopy
+    return optional("unopy", who, "unopy", "al.solvers.Ipopt()")
 
 
 def _model(unopy: Any, scaled: ScaledProgram, pattern: Pattern, multipliers: np.ndarray | None) -> Any:

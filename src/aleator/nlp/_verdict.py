@@ -4,9 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aleator.nlp._certificate import Certificate, certify, complementary, fit_multipliers, is_least_violated, kinks_at
-from aleator.nlp._curvature import descent
-from aleator.nlp._evaluations import NotFiniteError, changes_of
+from aleator.nlp._certificate import (
+    Certificate,
+    certify,
+    complementary,
+    descent,
+    fit_multipliers,
+    is_least_violated,
+    kinks_at,
+)
+from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._slopes import slopes_at
@@ -233,9 +240,7 @@ def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
     # The change of the Lagrangian's gradient over a typical magnitude against the remainder.
     direction = max(1.0, float(np.abs(z).max())) * remainder / largest
     try:
-        changes = changes_of(
-            lambda point: multipliers.slope(scaled.evaluate(point)), z, (scaled.lower, scaled.upper), direction[:, None]
-        )
+        changes = scaled.curvature(z, multipliers, direction[:, None])
     except NotFiniteError:
         return size or largest
     return max(size, float(np.abs(changes).max())) or largest

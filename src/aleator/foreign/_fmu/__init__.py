@@ -1,8 +1,7 @@
 """Functional mock-up units (FMI 2 and 3): read and loaded by FMPy, simulated, differentiated.
 
-`_description` says what a file offers; `_instance` calls the compiled code, `_motion` simulates it, and `_library` is
-what can be asked of it, behind a door (`_doors`): in a process of its own or in this one. `_differences` makes its
-answers functions of JAX. `_fmu`, `_simulation` and `_system` are what users see.
+`_instance` calls the compiled code; `_library` simulates it, behind a door (`_doors`): in a process of its own or in
+this one. `_fmu` says what a file offers, `_simulation` and `_system` are functions of JAX.
 """
 
 from aleator.foreign._fmu._fmu import Fmu as Fmu

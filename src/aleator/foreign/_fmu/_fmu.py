@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.border import meant, one_of, positive, refusal, shown
-from aleator._core.errors import MissingExtraError, ProblemError
-from aleator.foreign._fmu._doors import OwnProcess, SameProcess
+from aleator._core.errors import ProblemError, optional
+from aleator.foreign._fmu._doors import OwnProcess
+from aleator.foreign._fmu._library import Library
 
 # What users call the interfaces, and FMI and its tools do. The first one offered is the default.
 _KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
@@ -72,7 +73,7 @@ class Fmu:
         self._digest = hashlib.sha256(path.read_bytes()).hexdigest()
         self._given = path.absolute(), self.kind, tuple(settings.items()), own_process, limit
         opening = self.name, str(folder), self.is_exchange, settings
-        self.door = OwnProcess(*opening, time_limit=limit) if own_process else SameProcess(*opening)
+        self.door = OwnProcess(*opening, time_limit=limit) if own_process else Library(*opening)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as its file, which must be the same there."""
@@ -121,12 +122,9 @@ def unpacked(path: Path, folder: Path) -> Any:
 
     Raises `ProblemError` for a file that is no FMU of FMI 2 or 3 for this machine; `MissingExtraError` without FMPy.
     """
+    fmpy = optional("fmpy", "Fmu", "'aleator[fmu]'")
     try:
-        import fmpy
-    except ImportError as error:
-        raise MissingExtraError("Fmu needs the library FMPy: install it with `pip install 'aleator[fmu]'`.") from error
-    try:
-        description: Any = fmpy.read_model_description(str(path))
+        description = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), str(folder))
         platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
@@ -178,9 +176,10 @@ class Variables:
         """The real variables of a causality."""
         return [name for name, variable in self.all.items() if variable.causality == causality and _is_number(variable)]
 
-    def settable(self, names: Iterable[Any]) -> list[str]:
-        """Names, each checked to be of a real variable that may be set before the start, or `ProblemError`."""
-        return self._checked(names, "a parameter, an input or an initial value", "parameter", _is_settable)
+    def settable(self, names: Iterable[Any], *, of_any_type: bool = False) -> list[str]:
+        """Names, each checked to be of a variable, a real one, that may be set before the start, or `ProblemError`."""
+        expected = "a parameter, an input or an initial value"
+        return self._checked(names, expected, "parameter", _is_settable, of_any_type=of_any_type)
 
     def inputs(self, names: Iterable[Any]) -> list[str]:
         """Names, each checked to be of a real input, or `ProblemError`."""
@@ -189,17 +188,14 @@ class Variables:
     def readable(self, names: Any) -> list[str]:
         """Names, by default of all outputs, each checked to be of a real variable, or `ProblemError`."""
         names = self.of("output") if names is None else names
-        if isinstance(names, str | bytes) or not isinstance(names, Sequence) or not names:
-            raise refusal(self._who, "a list of variables to read", names)
-        if len(set(map(str, names))) < len(names):
-            raise refusal(self._who, "each variable to read once", names)
+        is_list = isinstance(names, Sequence) and not isinstance(names, str | bytes)
+        if not (is_list and names) or len(set(map(str, names))) < len(names):
+            raise refusal(self._who, "a list of variables to read, each once", names)
         return self._checked(names, "a variable", "output", lambda _: True)
 
     def refuse_settings(self, settings: Mapping[str, Any]) -> None:
         """Raise `ProblemError` for settings that are no values of variables of any type."""
-        self._checked(
-            settings, "a parameter, an input or an initial value", "parameter", _is_settable, of_any_type=True
-        )
+        self.settable(settings, of_any_type=True)
         for name, value in settings.items():
             words, kinds = _VALUES.get(self.all[name].type, ("a whole number", int))
             if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
@@ -257,7 +253,7 @@ def _is_settable(variable: Any) -> bool:
     return is_first or variable.causality in ("input", "structuralParameter")
 
 
-def with_numbers(names: Iterable[str], values: Iterable[float]) -> str:
+def with_numbers(numbers: Mapping[str, float]) -> str:
     """Values of variables as the end of a sentence; empty if there are none."""
-    listed = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
+    listed = ", ".join(f"{name}={value:.6g}" for name, value in numbers.items())
     return f", with {listed}" if listed else ""

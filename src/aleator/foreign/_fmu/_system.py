@@ -13,13 +13,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import one_of
+from aleator._core.border import one_of, real
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
-from aleator.foreign._fmu._differences import differentiable, relative_steps
 from aleator.foreign._fmu._fmu import Fmu
-from aleator.foreign._fmu._simulation import number
+from aleator.foreign._fmu._simulation import differentiable, relative_steps
 
 # Relative to a number. The error of differences, of the fourth order of the step, is about 1e-12 of a smooth function.
 _STEP = 1e-3
@@ -61,7 +60,10 @@ class FmuSystem(System):
                 "used for co-simulation. Use FmuSimulation."
             )
         given = one_of(f"FmuSystem: parameters of '{fmu.name}'", parameters or {}, Mapping, "{'damping': 0.1}")
-        self.parameters = {name: _checked(fmu, name, given[name]) for name in fmu.variables.settable(given)}
+        self.parameters = {
+            name: value if isinstance(value, AbstractLeaf | Tracer) else real(f"FMU '{fmu.name}': '{name}'", value)
+            for name, value in zip(fmu.variables.settable(given), given.values(), strict=True)
+        }
         numbers = {name: value if isinstance(value, float) else None for name, value in self.parameters.items()}
         free = [name for name in fmu.inputs if name not in numbers]
         self._equations = Equations(fmu, numbers, free, fmu.variables.readable(outputs))
@@ -118,11 +120,6 @@ class FmuSystem(System):
 
 def _array(values: Any) -> Float[Array, " n"]:
     return jnp.array([jnp.asarray(value, dtype=float) for value in values], dtype=float)
-
-
-def _checked(fmu: Fmu, name: str, value: Any) -> Any:
-    """A number of the system, which may be a leaf, or traced."""
-    return value if isinstance(value, AbstractLeaf | Tracer) else number(f"FMU '{fmu.name}': '{name}'", value)
 
 
 @final
