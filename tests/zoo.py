@@ -1,4 +1,4 @@
-"""Ten small models whose answers are known in closed form, shared by all tests.
+"""Small models whose answers are known in closed form, shared by all tests.
 
 Numbers, limits and distributions of a model are data: problems that differ in nothing else share their programs, which
 a worker compiles once. A change of anything else (the family of a distribution, a functional, the number of steps, the
@@ -10,13 +10,16 @@ import os
 from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator import nlp
+from aleator._core.arrays import jax_array
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
+from aleator.uncertainty import realise
 
 # --- Without time ----------------------------------------------------------------------------------------------------
 
@@ -332,6 +335,23 @@ class Crane(al.Lagrangian):
         return -self.payload * 9.81 * self.rope * jnp.cos(q[1])
 
 
+class Cart(al.Mechanical):
+    """A cart of some mass in the wind, which may be a signal."""
+
+    names = ("x",)
+    mass: al.Number = al.parameter("kg", positive=True, default=2.0)
+    wind: al.Number = 0.0
+
+    def mass_matrix(self, q):
+        return self.mass * jnp.eye(1)
+
+    def load(self, q, v):
+        return jnp.reshape(self.wind, (1,))
+
+    def outputs(self, motion):
+        return {"effort": jnp.asarray(self.wind) ** 2}
+
+
 # --- Helpers ---------------------------------------------------------------------------------------------------------
 
 CASES = int(os.environ.get("ALEATOR_TEST_CASES", "1"))
@@ -341,6 +361,13 @@ def cases(values: Iterable[Any], first: int = CASES) -> list[Any]:
     """The parameters of a family, such as its seeds: the first of them by default, the others if slow."""
     rows = (value if isinstance(value, tuple) else (value,) for value in values)
     return [pytest.param(*row, marks=[pytest.mark.slow] * (i >= first)) for i, row in enumerate(rows)]
+
+
+def histories(problem, germs):
+    """The outputs of some realisations at the initial decisions."""
+    start = jax_array(problem.placements.vector("initial"))
+    every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
+    return jax.jit(every)(jnp.asarray(germs))
 
 
 class Optimum(NamedTuple):

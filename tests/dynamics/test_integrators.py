@@ -298,14 +298,6 @@ def test_derivatives_through_every_integrator_agree_with_finite_differences(inte
     assert derivative_error(lambda x: np.asarray(both(x)[0]), both(point)[1], point) < 1e-6
 
 
-def test_an_adaptive_integrator_agrees_with_scipy_behind_the_same_call():
-    grid = al.Grid(5.0, 10)
-    outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)}, al.integrators.Tsit5(1e-9, 1e-11))
-    angle, speed = scipy_pendulum(np.asarray(grid.times))
-    np.testing.assert_allclose(outputs["angle"], angle, atol=1e-6)
-    np.testing.assert_allclose(outputs["speed"], speed, atol=1e-6)
-
-
 class Explosion(al.System):
     """`x' = x²`, which is infinite at `1 / x(0)`."""
 

@@ -124,14 +124,23 @@ def test_a_grid_knows_its_instants_and_simpsons_rule():
     grid = al.Grid(3.0, 8, t_start=1.0)
     np.testing.assert_allclose(grid.times, np.linspace(1.0, 3.0, 9), rtol=1e-15)
     assert grid.step == 0.25
-    np.testing.assert_allclose(grid.node_times, np.linspace(1.0, 3.0, 17), rtol=1e-15)
-    values = np.sin(np.asarray(grid.node_times))
+    values = np.sin(np.linspace(1.0, 3.0, 17))
     assert float(grid.node_weights @ values) == pytest.approx(integrate.simpson(values, dx=0.125), rel=1e-14)
 
 
-@pytest.mark.parametrize(("end", "start"), [(0.0, 0.0), (1.0, -np.inf), (np.array([2.0]), 0.0)])
+@pytest.mark.parametrize(
+    ("end", "start"),
+    [
+        (0.0, 0.0),
+        (1.0, -np.inf),
+        (np.array([2.0]), 0.0),
+        (al.Normal(2.0, 0.1), 0.0),
+        (al.Decision(2.0, 0.0, 3.0), 0.0),
+        (al.Decision(np.ones(2), 0.5, 3.0), 0.0),
+    ],
+)
 def test_a_grid_that_does_not_end_after_its_start_is_refused(end, start):
-    with pytest.raises(al.ProblemError, match=r"t_final must be a finite number after t_start=.*; received t_final="):
+    with pytest.raises(al.ProblemError, match=r"Grid: t_(start|final): expected .* received "):
         al.Grid(end, 10, start)
 
 

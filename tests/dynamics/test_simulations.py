@@ -1,7 +1,6 @@
 """`simulate`: one program serves the same equations with any numbers; what it cannot run is refused in words."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -64,36 +63,6 @@ def test_impossible_numbers_are_refused_though_the_program_is_there():
     assert np.isfinite(al.simulate(Decay(1.0, 0.5), GRID)["x"]).all()
     with pytest.raises(al.ProblemError, match=r"'system.start': expected numbers; received nan"):
         al.simulate(Decay(1.0, np.nan), GRID)
-
-
-def system(rhs=lambda z: (z.v, -z.x), outputs=lambda z: {"x": z.x}, initial=None):
-    class Model(al.System):
-        states = ("x", "v")
-
-        def rhs(self, t, z):
-            return rhs(z)
-
-        def outputs(self, t, z):
-            return outputs(z)
-
-        def initial(self):
-            return {} if initial is None else initial
-
-    return Model()
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"rhs": lambda z: (z.v,)}, r"Model\.rhs: expected 2 rates, for \('x', 'v'\); received 1"),
-        ({"rhs": lambda z: (jnp.ones(3), z.x)}, r"shape \(\) for 'x'; received \(3,\)\. If 'x' is an array, give its"),
-        ({"rhs": lambda z: (z.v if z.x > 0 else 0.0, z.x)}, r"Model\.rhs branches on a number .*jnp\.where\("),
-        ({"initial": {"y": 1.0}}, r"initial names \['y'\], which are not states; expected some of \('x', 'v'\)"),
-    ],
-)
-def test_a_system_that_does_not_fit_together_is_refused_in_words(wrong, message):
-    with pytest.raises(al.ProblemError, match=message):
-        al.simulate(system(**wrong), GRID)
 
 
 class Named(al.System):

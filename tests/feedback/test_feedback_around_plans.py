@@ -2,16 +2,14 @@
 
 from functools import cache
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
 
 import aleator as al
-from aleator._core.arrays import jax_array
 from aleator.feedback import AbstractController
-from aleator.uncertainty import realise
+from zoo import histories
 
 STEPS = 20
 GAINS = al.Decision([10.0, 5.0], 0.0, 200.0)
@@ -122,9 +120,7 @@ def test_limits_are_those_of_actuators_and_a_law_of_ones_own_is_a_law():
             feedback=al.Feedback(gains=gains, of="x", limits=(-1.0, 1.0)),
             minimize=al.terminal("x").mean,
         )
-        start = jax_array(problem.placements.vector("initial"))
-        every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
-        return jax.jit(every)(jnp.array([[-0.9], [0.6]]))
+        return histories(problem, [[-0.9], [0.6]])
 
     own, numbers = commanded(Own(k=50.0)), commanded([50.0])
     command, applied = (np.asarray(own[f"u.{name}"]) for name in ("command", "applied"))

@@ -9,10 +9,9 @@ import pytest
 import scipy
 
 import aleator as al
-from aleator._core.arrays import jax_array
 from aleator.feedback import AbstractController
 from aleator.feedback._lqr import algebraic_riccati
-from aleator.uncertainty import realise
+from zoo import histories
 
 
 class Mass(al.System):
@@ -38,13 +37,6 @@ def moved(feedback: Any, system: Any = None, inputs: Any = STILL, end: float = 2
     options = {"minimize": al.terminal("x").mean} | options
     system = Mass() if system is None else system
     return al.Problem(system, grid=al.Grid(end, steps), inputs=inputs, feedback=feedback, **options)
-
-
-def histories(problem, germs):
-    """The outputs of some realisations at the initial decisions."""
-    start = jax_array(problem.placements.vector("initial"))
-    every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
-    return jax.jit(every)(jnp.asarray(germs))
 
 
 def test_the_regulator_of_a_double_integrator_is_that_of_its_closed_form():

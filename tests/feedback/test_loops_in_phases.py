@@ -2,15 +2,14 @@
 
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
 
 import aleator as al
-from aleator._core.arrays import jax_array
 from aleator.uncertainty import realise
+from zoo import histories
 
 
 class Cart(al.System):
@@ -32,12 +31,6 @@ class Cart(al.System):
 
 
 MASS = al.Uniform(1.0, half_width=0.2)
-
-
-def histories(problem, germs):
-    start = jax_array(problem.placements.vector("initial"))
-    every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
-    return jax.jit(every)(jnp.asarray(germs))
 
 
 def feedback(gains: Any = (8.0, 3.0), **options: Any) -> al.Feedback:

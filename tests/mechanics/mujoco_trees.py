@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aleator.mechanics._bodies import Body
-from aleator.mechanics._joints import Ball, Fixed, Free, Prismatic, Revolute
+from aleator.mechanics._bodies import Ball, Body, Fixed, Free, Prismatic, Revolute
 from aleator.mechanics._multibody import Multibody
 
 

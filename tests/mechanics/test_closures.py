@@ -268,9 +268,3 @@ def test_equations_of_ones_own_and_couplings_stand_beside_loops():
         left, slopes = answers(model, [partial(of, q=q) for of in (constraint_of, jacobian_of)])
         np.testing.assert_allclose(left, expected, atol=1e-14)
         np.testing.assert_allclose(slopes[2], [-2.0, 0.0, 0.0, 1.0], atol=1e-14)
-
-
-def test_names_that_say_nothing_are_refused_where_a_class_is_made():
-    for name in ("constraints", "constraints_names", "velocities", "velocity_names"):
-        with pytest.raises(al.ProblemError, match=f"Misnamed.{name}.*expected some of constraint_names"):
-            type("Misnamed", (FourBar,), {name: ("gear",), "__module__": __name__})

@@ -10,21 +10,7 @@ from double_pendulum import G, simulate
 from scipy.integrate import solve_ivp
 
 import aleator as al
-
-
-class Cart(al.Mechanical):
-    """Wind that is given as a parameter pushes a cart."""
-
-    names = ("x",)
-    mass: al.Number = 2.0
-    wind: al.Number = 0.0
-
-    def mass_matrix(self, q):
-        return self.mass * jnp.eye(1)
-
-    def load(self, q, v):
-        return jnp.reshape(self.wind, (1,))
-
+from zoo import Cart
 
 GUST = al.processes.signal(lambda t, p: p.high * jnp.sin(p.rate * t), high=3.0, rate=5.0)
 

@@ -8,6 +8,7 @@ import pytest
 from double_pendulum import Matrices, Pendubot, Rates
 
 import aleator as al
+from zoo import Cart
 
 GRID = al.Grid(1.0, 10)
 REST = (np.zeros(2), np.zeros(2), np.zeros(2))
@@ -34,18 +35,6 @@ class Energy(al.Lagrangian):
 
     def kinetic_energy(self, q, v):
         return (v @ v) ** 2
-
-
-class Cart(al.Mechanical):
-    names = ("x",)
-    mass: al.Number = al.parameter("kg", positive=True, default=2.0)
-    wind: al.Number = 0.0
-
-    def mass_matrix(self, q):
-        return self.mass * np.eye(1)
-
-    def load(self, q, v):
-        return jnp.reshape(self.wind, (1,))
 
 
 class Slide(al.Multibody):

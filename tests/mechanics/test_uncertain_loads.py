@@ -1,33 +1,17 @@
 """Random processes, uncertain signals and decisions as loads and parameters of mechanical systems, in problems."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator.transcription import transcribe
 from compiling import compiled
-from zoo import optimum
+from zoo import Cart, optimum
 
 MOTION = {"x": al.BSpline(al.Decision(np.array([0.3, 0.6]), -3, 3), start=((0.0), 0.0), end=((1.0), 0.0))}
 WIND = al.processes.RandomProcess(
     al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, mean=1.0, modes=3
 )
-
-
-class Cart(al.Mechanical):
-    names = ("x",)
-    mass: al.Number = al.parameter("kg", positive=True, default=2.0)
-    wind: al.Number = 0.0
-
-    def mass_matrix(self, q):
-        return self.mass * np.eye(1)
-
-    def load(self, q, v):
-        return jnp.reshape(self.wind, (1,))
-
-    def outputs(self, motion):
-        return {"effort": jnp.asarray(self.wind) ** 2}
 
 
 def test_torques_spread_as_the_process_that_they_work_against():

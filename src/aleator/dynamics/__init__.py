@@ -63,11 +63,11 @@ from aleator.dynamics._schemes import MultipleShooting as MultipleShooting
 from aleator.dynamics._schemes import Radau as Radau
 from aleator.dynamics._schemes import SegmentRate as SegmentRate
 from aleator.dynamics._schemes import Trapezoid as Trapezoid
+from aleator.dynamics._simulate import jump_times as jump_times
 from aleator.dynamics._simulate import simulate as simulate
+from aleator.dynamics._simulate import time_switches as time_switches
 from aleator.dynamics._simulation import Simulation as Simulation
 from aleator.dynamics._simulation import simulation_of as simulation_of
-from aleator.dynamics._switches import jump_times as jump_times
-from aleator.dynamics._switches import time_switches as time_switches
 from aleator.dynamics._system import AbstractSystem as AbstractSystem
 from aleator.dynamics._system import End as End
 from aleator.dynamics._system import System as System

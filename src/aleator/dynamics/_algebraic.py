@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
@@ -94,15 +94,11 @@ class AlgebraicSystem(AbstractSystem):
 class Solved(NamedTuple):
     """The solution of an algebraic system.
 
-    - `unknowns`: as a named tuple; NaN where Newton failed, or found a solution that is not isolated;
-    - `residual_norm`: the largest residual, each relative to its change when the unknowns change by their own scale;
-    - `iterations`: the number of Newton steps.
+    - `unknowns`: as a named tuple; NaN where Newton failed, or found a solution that is not isolated.
     """
 
     unknowns: Any
     converged: Bool[Array, ""]
-    residual_norm: Float[Array, ""]
-    iterations: Int[Array, ""]
 
 
 def solve_algebraic(system: AlgebraicSystem) -> Solved:
@@ -113,14 +109,9 @@ def solve_algebraic(system: AlgebraicSystem) -> Solved:
     """
     guess = first_guess(system)
     if not system.unknowns:
-        return Solved(guess, jnp.asarray(True), jnp.zeros(()), jnp.zeros((), int))
+        return Solved(guess, jnp.asarray(True))
     root, named = _root(system, guess)
-    return Solved(
-        named(jnp.where(root.converged, root.point, jnp.nan)),
-        root.converged,
-        jnp.abs(root.relative).max(),
-        root.steps.astype(int),
-    )
+    return Solved(named(jnp.where(root.converged, root.point, jnp.nan)), root.converged)
 
 
 def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]:

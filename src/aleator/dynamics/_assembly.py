@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import meant, members
+from aleator._core.border import meant, members, real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem
@@ -262,7 +262,7 @@ class Assembly(AlgebraicSystem):
         self.dimensions = {name: _dimension(name, value) for name, value in dimensions.items()}
         self.description = _Description(
             guesses=tuple(
-                (name, _number(value, f"the guess of '{name}'", "a finite number near its nominal value"))
+                (name, real(f"Assembly: the guess of '{name}'", value, "a finite number near its nominal value"))
                 for name, value in unknowns.items()
             ),
             loops=tuple(
@@ -342,13 +342,7 @@ def _dimension(name: str, value: Any) -> Any:
     """A number as a float, so that changing it causes no recompilation; distributions and decisions unchanged."""
     if isinstance(value, AbstractLeaf | jax.Array):
         return value
-    return _number(value, f"dimension '{name}'", "a finite number, a distribution or a decision")
-
-
-def _number(value: Any, what: str, expected: str) -> float:
-    if isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value):
-        return float(value)
-    raise ProblemError(f"Assembly: expected {expected} as {what}; received {value!r}.")
+    return real(f"Assembly: dimension '{name}'", value, "a finite number, a distribution or a decision")
 
 
 def _check_equations(description: _Description) -> None:

@@ -35,7 +35,7 @@ from aleator.dynamics._evaluation import (
 from aleator.dynamics._event import Event
 from aleator.dynamics._phases import LinkedSystems, linked_states, named
 from aleator.dynamics._record import zeros
-from aleator.dynamics._smooth import WIDTHS, Widths
+from aleator.dynamics._smooth import WIDTHS, Variation
 from aleator.dynamics._system import AbstractSystem, End, System, state_type
 from aleator.trajectories import AbstractSignal
 
@@ -43,19 +43,8 @@ FINER = 3
 """How many times as many steps simulations inside a model have where it is checked: an odd prime number."""
 
 
-@final
-@dataclass
-class Inside:
-    """The simulations inside a model whose equations are being traced.
-
-    - `factor`: how many times as many steps they have; `is_met`: whether there are any.
-    """
-
-    factor: int
-    is_met: bool = False
-
-
-INSIDE: ContextVar[Inside | None] = ContextVar("inside", default=None)
+INSIDE: ContextVar[Variation | None] = ContextVar("inside", default=None)
+"""Of simulations inside a model whose equations are being traced."""
 
 
 @final
@@ -91,8 +80,8 @@ class Equations:
     @classmethod
     def _of(
         cls, system: AbstractSystem, start: "Start | None", states: Any, *, factor: int = 1, width: float = 1.0
-    ) -> tuple["Equations", Inside, Widths]:
-        inside, widths = Inside(factor), Widths(width)
+    ) -> tuple["Equations", Variation, Variation]:
+        inside, widths = Variation(factor), Variation(width)
         before = INSIDE.set(inside), WIDTHS.set(widths)
         try:
             return cls._traced(system, start, states), inside, widths

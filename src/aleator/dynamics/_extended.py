@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -11,7 +12,6 @@ from typing_extensions import override
 
 from aleator._core.leaves import transparent
 from aleator.dynamics._evaluation import after_events, event_levels
-from aleator.dynamics._event import Event
 from aleator.dynamics._record import Record
 from aleator.dynamics._system import End, System, state_type
 from aleator.trajectories import AbstractSignal
@@ -28,55 +28,25 @@ class AbstractExtended(System):
     taken: eqx.AbstractVar[tuple[str, ...]]
     further: ClassVar[tuple[str, ...]] = ()
 
+    # What is said of it is said of its own system.
+    units = property(attrgetter("own.units"))  # type: ignore[assignment]
+    rates_of = property(attrgetter("own.rates_of"))  # type: ignore[assignment]
+    further_inputs = property(attrgetter("taken"))  # type: ignore[assignment]
+    plain = property(attrgetter("own.plain"))  # type: ignore[override]
+    title = property(attrgetter("own.title"))  # type: ignore[override]
+    formulated = property(attrgetter("own.formulated"))  # type: ignore[override]
+    declared_events = property(attrgetter("own.declared_events"))  # type: ignore[override]
+    solves_start = property(attrgetter("own.solves_start"))  # type: ignore[override]
+
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
         """Those of its own system, then the further ones."""
         return (*self.own.states, *self.further)
 
     @property
-    def further_inputs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The inputs that it is given."""
-        return self.taken
-
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of its own system."""
-        return self.own.units
-
-    @property
-    def rates_of(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The rates of its own system."""
-        return self.own.rates_of
-
-    @property
-    @override
-    def plain(self) -> System:
-        return self.own.plain
-
-    @property
-    @override
-    def title(self) -> str:
-        return self.own.title
-
-    @property
-    @override
-    def formulated(self) -> Any:
-        return self.own.formulated
-
-    @property
-    @override
-    def declared_events(self) -> Mapping[str, Event]:
-        return self.own.declared_events
-
-    @property
     def planned_events(self) -> Mapping[str, str]:
         """The names that events of its plan have, by those of its own."""
         return self.own.planned_events if isinstance(self.own, AbstractExtended) else {}
-
-    @property
-    @override
-    def solves_start(self) -> bool:
-        return self.own.solves_start
 
     def with_plan(
         self, means: Any, inputs: Mapping[str, AbstractSignal], uncertain: tuple[str, ...]

@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Scalar, refuse_beyond_memory
-from aleator._core.border import is_masked, real, refusal, shown, whole
+from aleator._core.border import real, refusal, shown, whole
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape
+from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, stored_number
 from aleator.dynamics._system import System, check_inputs
 from aleator.trajectories import AbstractSignal, instants
 
@@ -106,20 +106,15 @@ class Grid(AbstractGrid):
         if until is not None or at_most is not None:
             at_most = t_final = _latest(t_final, until, at_most)
         self.until, self.at_most, self.steps = until, at_most, _steps(steps)
-        t_final, t_start = _scalar(t_final), _scalar(t_start)
-        free = _is_decided(t_final)
-        earliest: Any = lowest(t_final) if free else t_final
-        if free and realised_shape(t_final) != ():
-            raise ProblemError(f"Grid: expected one final time; received an array of decisions {t_final!r}.")
-        # Inside a model's own equations its numbers are not known.
-        is_traced = isinstance(t_final, Tracer)
-        if not (_is_finite(t_start) and (is_traced or (_is_finite(earliest) and earliest > t_start))):
+        self.t_start, t_final = real("Grid: t_start", t_start), stored_number("Grid: t_final", t_final)
+        self.t_final = t_final = float(t_final) if isinstance(t_final, np.ndarray) else t_final
+        earliest = lowest(t_final)  # None where it is traced, as inside a model's own equations
+        is_uncertain = isinstance(t_final, AbstractLeaf) and t_final.is_uncertain
+        if is_uncertain or not (earliest is None or self.t_start < earliest < np.inf):
             raise ProblemError(
-                f"Grid: t_final must be a finite number after t_start={t_start!r}; received "
-                + (f"a decision that may be {earliest!r}: raise its lower bound." if free else f"t_final={t_final!r}.")
+                f"Grid: t_final: expected a number after t_start={self.t_start:g}, or a Decision that is at least one; "
+                f"received {shown(t_final)}."
             )
-        self.t_final = t_final if free or is_traced else float(t_final)
-        self.t_start = float(t_start)
 
     @property
     def latest(self) -> float:
@@ -180,11 +175,6 @@ class Grid(AbstractGrid):
         return np.linspace(0.0, 1.0, 2 * self.steps + 1)
 
     @property
-    def node_times(self) -> Float[Array, " nodes"]:
-        """The instants and the midpoints of the steps, s."""
-        return instants(self.node_fractions, self.t_start, self.t_final)
-
-    @property
     def node_weights(self) -> Float[Array, " nodes"]:
         """Weights of Simpson's rule on instants and midpoints: of order 4, like the default integrator."""
         return jnp.asarray(self.duration * self.fraction_weights)
@@ -235,21 +225,6 @@ def _latest(t_final: Any, until: Any, at_most: Any) -> float:
             f"al.Grid(until='{until}', at_most=10.0, steps=40)."
         )
     return real(f"Grid: at_most, the latest time that '{until}' happens, s", at_most)
-
-
-def _is_decided(t_final: Any) -> bool:
-    return isinstance(t_final, AbstractLeaf) and not t_final.is_uncertain
-
-
-def _scalar(number: Any) -> Any:
-    """A known zero-dimensional array as a float; everything else unchanged."""
-    is_array = isinstance(number, np.ndarray | jax.Array) and not isinstance(number, Tracer) and not is_masked(number)
-    return float(number) if is_array and number.shape == () and number.dtype.kind in "iuf" else number
-
-
-def _is_finite(number: Any) -> bool:
-    is_real = isinstance(number, int | float | np.number) and not isinstance(number, bool)
-    return is_real and bool(np.isfinite(number))
 
 
 def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray | Array, " n"]) -> dict[str, Float[Array, "n ..."]]:

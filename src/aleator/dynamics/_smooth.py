@@ -18,17 +18,18 @@ from aleator._core.leaves import is_traced
 
 @final
 @dataclass
-class Widths:
-    """The widths in a model whose equations are being traced.
+class Variation:
+    """What differs in equations that are being traced from those that are declared.
 
-    - `factor`: the part of the stated widths that is taken; `is_met`: whether there are any.
+    - `factor`: how many times as many steps simulations inside the model have, or as large widths are; `is_met`:
+      whether there are any.
     """
 
     factor: float
     is_met: bool = False
 
 
-WIDTHS: ContextVar[Widths | None] = ContextVar("widths", default=None)
+WIDTHS: ContextVar[Variation | None] = ContextVar("widths", default=None)
 
 
 def _over(width: Any) -> Any:

@@ -10,4 +10,4 @@ from aleator.feedback._lqr import lqr as lqr
 from aleator.feedback._noisy import VARIANCE as VARIANCE
 from aleator.feedback._noisy import Noisy as Noisy
 from aleator.feedback._noisy import noisy as noisy
-from aleator.feedback._surroundings import surrounded as surrounded
+from aleator.feedback._noisy import surrounded as surrounded

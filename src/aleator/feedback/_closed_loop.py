@@ -29,8 +29,7 @@ from aleator.dynamics import (
 )
 from aleator.dynamics._system import state_type
 from aleator.feedback._controllers import AbstractController, Plan, proportional
-from aleator.feedback._lqr import LQR
-from aleator.feedback._stability import unstable
+from aleator.feedback._lqr import LQR, unstable
 from aleator.trajectories import AbstractSignal, WhiteNoise, as_array
 from aleator.uncertainty import AbstractDecision, placements, refuse_intervals
 

@@ -31,9 +31,8 @@ from aleator.mechanics._matrices import (
 from aleator.mechanics._mechanical import (
     AbstractMechanical,
     constraint_of,
-    rate_map,
     rates,
-    shaped,
+    value_of,
 )
 
 # Corrections of the coordinates with one Jacobian: each multiplies what is missing by what was missing at first.
@@ -59,18 +58,15 @@ def holonomic_jacobian(model: AbstractMechanical, q: Float[Array, " coordinates"
     loops, own = model.closing_jacobian(q), len(model.constraint_names)
     if not own:
         return loops
-    return jnp.concatenate([loops, shaped(model, "constraint_jacobian", (q,), (own, len(model.speeds)))])
-
-
-def velocity_constraint_of(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " own"]:
-    """What is left of velocity constraints, as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "velocity_constraint", (q, v), (len(model.velocity_constraint_names),))
+    return jnp.concatenate([loops, value_of(model, "constraint_jacobian", q)])
 
 
 def velocity_terms(model: AbstractMechanical, q: Array) -> tuple[Float[Array, "own speeds"], Float[Array, " own"]]:
     """`A(q)` and `b(q)` of the velocity constraints `A v + b = 0`."""
     # The value beside its derivative: traced once.
-    return jax.jacfwd(lambda v: (velocity_constraint_of(model, q, v),) * 2, has_aux=True)(jnp.zeros(len(model.speeds)))
+    return jax.jacfwd(lambda v: (value_of(model, "velocity_constraint", q, v),) * 2, has_aux=True)(
+        jnp.zeros(len(model.speeds))
+    )
 
 
 def rate_terms(
@@ -97,7 +93,9 @@ def velocity_rule(model: AbstractMechanical, q: Array) -> dict[str, tuple[Array,
         return {}
     v, (A, b) = jnp.linspace(0.4, 0.7, len(model.speeds)), velocity_terms(model, q)
     acts = jnp.any(A != 0, axis=1)
-    return {_AFFINE: (jnp.stack([velocity_constraint_of(model, q, v), acts]), jnp.stack([A @ v + b, acts | True]))}
+    return {
+        _AFFINE: (jnp.stack([value_of(model, "velocity_constraint", q, v), acts]), jnp.stack([A @ v + b, acts | True]))
+    }
 
 
 class Loose(NamedTuple):
@@ -178,7 +176,7 @@ def put_back(
     q, moving = model.normalised(q), loose.coordinates
     model = model.seen_at(q)
     G = taken(holonomic_jacobian(model, q).T, loose.speeds).T
-    H = None if model.moves_directly else block(rate_map(model, q), moving, loose.speeds)
+    H = None if model.moves_directly else block(value_of(model, "velocity_map", q), moving, loose.speeds)
     back = solve_any(G, jnp.eye(len(G)))
 
     def corrected(q: Array, _: Any) -> tuple[Array, tuple[Array, Array]]:

@@ -5,6 +5,7 @@ starts that constraints contradict or leave open.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -112,14 +113,13 @@ def _faults(
 
     if broken := _broken(model, {rule: (one[0], two[0]) for rule, (one, two) in postures.stated.items()}):
         yield -1, broken
-    masses = [_mass_fault(model, M) for M in postures.mass[:good]]
-    for i, fault in enumerate(masses):
+    for i, fault in enumerate(map(partial(_mass_fault, model), postures.mass[:good])):
         if fault:
-            kind, remedy = fault
-            yield i, f"The mass matrix of {who} is {kind} {when(i)} ({posture(i)}){remedy}"
+            yield i, f"The mass matrix of {who} is {fault[0]} {when(i)} ({posture(i)}){fault[1]}"
             break
-    if postures.rates is not None:
-        yield from _map_faults(model, postures.rates[:good], when, posture)
+    H, G = (None if one is None else one[:good] for one in (postures.rates, postures.jacobian))
+    if H is not None:
+        yield from _misnamed_rates(model, H[0])
     if seen.path is not None and not model.moves_directly and parts.prescribed:
         valid = np.abs(postures.q) > np.abs(seen.path[: len(postures.q)]) / _VANISHING
         for i, coordinate in np.argwhere(valid)[:1]:
@@ -129,22 +129,30 @@ def _faults(
                 f"({posture_text(model, seen.path[i])}), and so has no direction. Prescribe quaternions that stay away "
                 "from zero.",
             )
-    if (lost := None if postures.jacobian is None else lost_rank(times, postures.jacobian[:good])) is not None:
-        speeds = _named([model.speeds[j] for j in parts.undriven])
-        yield (
-            lost[1],
-            f"The constraints of {who} lose their rank {lost[0]} ({posture(lost[1])}): how {speeds} follow is not "
-            "determined there (a dead centre). Stay away from this posture, or prescribe another coordinate.",
-        )
-    if (lost := None if postures.effects is None else lost_rank(times, postures.effects)) is not None:
-        yield (
-            lost[1],
-            unrealisable
-            if lost[0] == "at the start"
-            else f"The torques of {who} lose their effect {lost[0]} ({posture(lost[1])}): the matrix by which they act "
-            "on the motion they must realise is singular there. Start from a motion that avoids this posture, or add a "
-            "torque.",
-        )
+    follow = _named([model.speeds[j] for j in parts.undriven])
+    for matrices, what, why in (
+        (
+            H if H is None else H.swapaxes(1, 2),
+            f"The velocity map H of {who} loses its rank",
+            "rates of coordinates are not determined there (gimbal lock). Avoid this posture, or choose other "
+            "coordinates, such as quaternions.",
+        ),
+        (
+            G,
+            f"The constraints of {who} lose their rank",
+            f"how {follow} follow is not determined there (a dead centre). Stay away from this posture, or prescribe "
+            "another coordinate.",
+        ),
+        (
+            postures.effects,
+            f"The torques of {who} lose their effect",
+            "the matrix by which they act on the motion they must realise is singular there. Start from a motion that "
+            "avoids this posture, or add a torque.",
+        ),
+    ):
+        if matrices is not None and (lost := lost_rank(times, matrices)) is not None:
+            never = matrices is postures.effects and lost[0] == "at the start"
+            yield lost[1], unrealisable if never else f"{what} {lost[0]} ({posture(lost[1])}): {why}"
 
 
 def _broken(model: AbstractMechanical, stated: Mapping[str, tuple[Any, Any]]) -> str:
@@ -176,29 +184,15 @@ def _mass_fault(model: AbstractMechanical, M: np.ndarray) -> tuple[str, str] | N
     )
 
 
-def _map_faults(
-    model: AbstractMechanical, maps: np.ndarray, when: Callable[[int], str], posture: Callable[[int], str]
-) -> Iterator[tuple[int, str]]:
-    """Velocity maps that are singular, and velocities named as the rates of coordinates that they are not."""
-    who = type(model).__name__
-    for i, H in enumerate(maps):
-        if not np.isfinite(H).all() or _rank(H) < H.shape[1]:
-            worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
-            yield (
-                i,
-                f"The velocity map H of {who} is singular {when(i)} ({posture(i)}): the rate of '{worst}' is not "
-                "determined (gimbal lock). Avoid this posture, or choose other coordinates, such as quaternions.",
-            )
-            return
-    for row, name in zip(maps[0], model.coordinates, strict=True):
-        if f"{name}_rate" not in model.speeds:
-            continue
-        alone = np.arange(len(model.speeds)) == model.speeds.index(f"{name}_rate")
-        if not np.allclose(row, alone, rtol=0, atol=1e-12):
+def _misnamed_rates(model: AbstractMechanical, H: np.ndarray) -> Iterator[tuple[int, str]]:
+    """Velocities named as the rates of coordinates that they are not."""
+    for row, name in zip(H, model.coordinates, strict=True):
+        alone = np.array([speed == f"{name}_rate" for speed in model.speeds])
+        if alone.any() and not np.allclose(row, alone, rtol=0, atol=1e-12):
             yield (
                 0,
-                f"{who}: the velocity '{name}_rate' is named as the rate of '{name}', but by velocity_map(q) it is "
-                "not. Name the velocities in velocity_names.",
+                f"{type(model).__name__}: the velocity '{name}_rate' is named as the rate of '{name}', but by "
+                "velocity_map(q) it is not. Name the velocities in velocity_names.",
             )
 
 

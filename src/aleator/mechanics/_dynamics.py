@@ -13,7 +13,7 @@ from aleator._core.border import one_of, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator.mechanics._constraints import jacobian_of
 from aleator.mechanics._formulation import AbstractFormulation, a_model
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
+from aleator.mechanics._mechanical import AbstractMechanical, value_of
 
 
 class Actuation(Enum):
@@ -36,7 +36,7 @@ def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> 
     if posture.shape != (len(model.coordinates),) or not np.isfinite(posture).all():
         raise refusal("actuation_of: q", f"finite numbers for {list(model.coordinates)}", q)
     q = jnp.asarray(posture)
-    B = np.asarray(actuation_map(model, q))
+    B = np.asarray(value_of(model, "actuation", q))
     if model.constraints:
         G = np.asarray(jacobian_of(model, q))
         B = np.linalg.svd(G)[2][len(G) :] @ B

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, mass_of, shaped
+from aleator.mechanics._mechanical import AbstractMechanical, value_of
 
 _QUADRATIC = (
     "kinetic_energy(q, v): expected a quadratic function of the velocities, whose second derivatives are the mass "
@@ -96,9 +96,7 @@ class Mechanical(AbstractNamed):
 
     @override
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        n = len(self.speeds)
-        along = shaped(self, "coriolis", (q, v), (n, n)) @ v
-        return along + shaped(self, "forces", (q, v), (n,))
+        return value_of(self, "coriolis", q, v) @ v + value_of(self, "forces", q, v)
 
 
 class Lagrangian(AbstractNamed):
@@ -133,7 +131,7 @@ class Lagrangian(AbstractNamed):
 
     def coriolis(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, "n n"]:
         """`C(q, v)` by the Christoffel symbols of `M`: the choice that makes `Ṁ - 2 C` skew-symmetric."""
-        slope = jax.jacfwd(lambda at: mass_of(self, at))(q)  # [i, j, k]: dM_ij / dq_k
+        slope = jax.jacfwd(lambda at: value_of(self, "mass_matrix", at))(q)  # [i, j, k]: dM_ij / dq_k
         along = slope @ v
         across = jnp.einsum("ikj,k->ij", slope, v)
         return 0.5 * (along + across - across.T)
@@ -158,11 +156,11 @@ class Lagrangian(AbstractNamed):
         return {_QUADRATIC: both}
 
     def _forces(self, q: Array, v: Array) -> Array:
-        potential = jax.grad(lambda at: shaped(self, "potential_energy", (at,), ()))(q)
-        return potential + jax.grad(lambda at: shaped(self, "dissipation", (q, at), ()))(v)
+        potential = jax.grad(lambda at: value_of(self, "potential_energy", at))(q)
+        return potential + jax.grad(lambda at: value_of(self, "dissipation", q, at))(v)
 
     def _kinetic(self, q: Array, v: Array) -> Array:
-        return shaped(self, "kinetic_energy", (q, v), ())
+        return value_of(self, "kinetic_energy", q, v)
 
     def _inertia(self, q: Array, v: Array) -> Array:
         return jax.jacfwd(jax.grad(self._kinetic, argnums=1), argnums=1)(q, v)
@@ -206,7 +204,9 @@ class Accelerations(AbstractNamed):
     def stated_twice(self, q: Float[Array, " coordinates"]) -> dict[str, tuple[Array, Array]]:
         """Accelerations, and what they are if they are affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
-        return {_AFFINE: (self._rates(q, v, torque), actuation_map(self, q) @ torque - bias_of(self, q, v))}
+        return {
+            _AFFINE: (self._rates(q, v, torque), value_of(self, "actuation", q) @ torque - value_of(self, "bias", q, v))
+        }
 
     def _rates(self, q: Array, v: Array, torque: Array) -> Array:
-        return shaped(self, "accelerations", (q, v, torque), (len(self.speeds),))
+        return value_of(self, "accelerations", q, v, torque)

@@ -35,8 +35,7 @@ from aleator.mechanics._constraints import Stated, consistent_start, jacobian_of
 from aleator.mechanics._diagnosis import Examination, Posture, diagnosis
 from aleator.mechanics._instant import at, course, instants_of, is_timed, linearised
 from aleator.mechanics._matrices import taken
-from aleator.mechanics._mechanical import AbstractMechanical, mass_of, rate_map
-from aleator.mechanics._outputs import outputs_of
+from aleator.mechanics._mechanical import AbstractMechanical, value_of
 from aleator.mechanics._partial import (
     Partition,
     Prescribed,
@@ -44,6 +43,7 @@ from aleator.mechanics._partial import (
     columns,
     effect_of_torques,
     follow,
+    outputs_of,
     solved,
 )
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
@@ -162,45 +162,25 @@ class AbstractFormulation(System):
         q, v = self._others_near(), self._speeds_near()
         if self.model.constraints:
             model = at(self.model, t, inputs.get("parameters")).prepared()
-            q, v = consistent_start(model, *self._near(model, self._given(inputs)), self._stated())
+            q, v = consistent_start(model, *self._near(model, self._prescribed(inputs)), self._stated())
             q, v = taken(q, self.parts.others), taken(v, self.parts.undriven)
         return dict(zip(self.states, (q, v), strict=False))
 
     @override
-    def rhs(
-        self,
-        t: Any,
-        z: Any,
-        position: Any = None,
-        velocity: Any = None,
-        acceleration: Any = None,
-        torque: Any = None,
-        parameters: Any = None,
-    ) -> tuple[Array, ...]:
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> tuple[Array, ...]:
         # Not those of `rates_and_outputs`: diagnosis traces the rates at each stage.
-        where = self._prescribed(position, velocity, acceleration, torque), *self._integrated(z)
-        return self._rates_of(solved(at(self.model, t, parameters).prepared(), self.parts, *where))
+        model, where = self._instant(t, z, inputs)
+        return self._rates_of(solved(model, self.parts, *where))
 
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         return self.rates_and_outputs(*args, **kwargs)[1]
 
     @override
-    def rates_and_outputs(
-        self,
-        t: Any,
-        z: Any,
-        position: Any = None,
-        velocity: Any = None,
-        acceleration: Any = None,
-        jerk: Any = None,
-        torque: Any = None,
-        torque_rate: Any = None,
-        parameters: Any = None,
-    ) -> tuple[tuple[Array, ...], dict[str, Any]]:
-        model, parts = at(self.model, t, parameters).prepared(), self.parts
-        where = self._prescribed(position, velocity, acceleration, torque), *self._integrated(z)
-        if jerk is None or not parts.unknown or (torque is not None and torque_rate is None):
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
+        (model, where), parts = self._instant(t, z, inputs), self.parts
+        jerk, torque_rate = inputs.get("jerk"), inputs.get("torque_rate")
+        if jerk is None or not parts.unknown or ("torque" in inputs and torque_rate is None):
             whole = solved(model, parts, *where)
             torque_rates = None if parts.unknown else torque_rate
         else:
@@ -211,7 +191,7 @@ class AbstractFormulation(System):
 
             # The integrated motion changes as it is found to.
             whole, change = linearised(torques, model, where)
-            moved = Prescribed(velocity, acceleration, jerk, self._known(torque_rate))
+            moved = Prescribed(inputs["velocity"], inputs["acceleration"], jerk, self._known(torque_rate))
             torque_rates = change(moved, taken(whole.q_dot, parts.others), taken(whole.v_dot, parts.undriven))
         return self._rates_of(whole), outputs_of(model, t, whole, torque_rates)
 
@@ -219,19 +199,20 @@ class AbstractFormulation(System):
         q_dot, v_dot = taken(motion.q_dot, self.parts.others), taken(motion.v_dot, self.parts.undriven)
         return (q_dot, v_dot)[: len(self.states)]
 
-    def _integrated(self, z: Any) -> tuple[Array, Array]:
-        """The integrated coordinates and velocities; these are zero where constraints determine them."""
-        q = z.q if self.states else jnp.zeros(0)
-        return q, z.v if "v" in self.states else jnp.zeros(len(self.parts.undriven))
+    def _instant(
+        self, t: Any, z: Any, inputs: Mapping[str, Any]
+    ) -> tuple[AbstractMechanical, tuple[Prescribed, Array, Array]]:
+        """The model, what is prescribed, and what is integrated: no velocities where constraints determine them."""
+        model = at(self.model, t, inputs.get("parameters")).prepared()
+        v = z.v if "v" in self.states else jnp.zeros(len(self.parts.undriven))
+        return model, (self._prescribed(inputs), z.q if self.states else jnp.zeros(0), v)
 
-    def _prescribed(self, position: Any, velocity: Any, acceleration: Any, torque: Any) -> Prescribed:
+    def _prescribed(self, inputs: Mapping[str, Any]) -> Prescribed:
+        known, names = self._known(inputs.get("torque")), ("position", "velocity", "acceleration")
         if not self.parts.prescribed:
-            position = velocity = acceleration = jnp.zeros(0)
-        return Prescribed(position, velocity, acceleration, self._known(torque))
-
-    def _given(self, inputs: Mapping[str, Any]) -> Prescribed:
-        value = inputs.get
-        return self._prescribed(value("position"), value("velocity"), value("acceleration"), None)
+            inputs = dict.fromkeys(names, jnp.zeros(0))
+        position, velocity, acceleration = (inputs[name] for name in names)
+        return Prescribed(position, velocity, acceleration, known)
 
     def _known(self, torque: Any) -> Array:
         n, model = len(self.parts.known), self.model
@@ -278,8 +259,8 @@ class AbstractFormulation(System):
         G = columns(jacobian_of(model, q), parts.undriven) if model.constraints and parts.undriven else None
         return Posture(
             q,
-            mass_of(model, q),
-            None if model.moves_directly else rate_map(model, q),
+            value_of(model, "mass_matrix", q),
+            None if model.moves_directly else value_of(model, "velocity_map", q),
             G if G is None or not parts.surplus else G.T,
             effect_of_torques(model, self.parts, q),
             model.stated_twice(q) | velocity_rule(model, q),
@@ -292,14 +273,6 @@ class AbstractFormulation(System):
             return jnp.broadcast_to(others, (len(grid.fractions), len(others)))
         motion = self._motion().derivative(order).sampled(grid.fractions, grid.t_start, grid.t_final)
         return motion if not len(others) else jax.vmap(lambda one: self.parts.merged(one, others))(motion)
-
-    def near(self, grid: Grid) -> Array:
-        """The coordinates at the start as they are given."""
-        q = self._others_near()
-        if not self.parts.prescribed:
-            return q
-        _, motion = in_library(self._motion().sampled(np.zeros(1), grid.t_start, grid.t_final))
-        return self.parts.merged(motion[0], q)
 
     def unrealisable(self) -> str:
         """That the unknown torques cannot realise what is prescribed."""
@@ -357,12 +330,12 @@ def a_model(who: str, model: Any) -> AbstractMechanical:
 def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination:
     del code  # tells programs apart
     model, parts, now = system.model, system.parts, instants_of(system.model, grid)
-    row = now.row(0)
-    near = system.near(grid)
+    row, (_, path) = now.row(0), in_library(system.path(grid))
+    near = path[0]
     if not system.changes:
-        _, near, posture = in_library(near, system.posture(model, near))
+        _, posture = in_library(system.posture(model, near))
         return Examination(row, near, None, *jax.tree.map(lambda one: one[None], (near, posture)))
-    q = path = held = system.path(grid)
+    q = held = path
     history = dict[str, Any]()
     if system.states:
         only = [*model.coordinates, *model.speeds]

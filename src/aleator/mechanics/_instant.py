@@ -1,13 +1,17 @@
-"""A mechanical system at one instant: signals in its fields replaced by their values, with their derivatives.
+"""A mechanical system at one instant: methods that may take the time, signals in fields replaced by their values.
 
 A parameter `θ(t)` is a signal in place of a number, like a distribution. At an instant the model is the same tree with
 the signals' values. It stores the time and the signals' derivatives, so that any quantity computed from it has a total
-time derivative, as in equation (65): `∂/∂t` and `θ̇ ∂/∂θ` together. Which methods depend on time is read from their
-signatures, once for each class.
+time derivative, as in equation (65): `∂/∂t` and `θ̇ ∂/∂θ` together. What a class declares (methods, some of which take
+the time, and names) is read from it once.
 """
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from difflib import get_close_matches
+from functools import cache
+from itertools import product
 from typing import Any, NamedTuple, TypeVar, final
 
 import equinox as eqx
@@ -21,10 +25,103 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics import Grid
-from aleator.mechanics._declared import timed_methods
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 Model = TypeVar("Model", bound=eqx.Module)
+
+
+class Method(NamedTuple):
+    """A method that a subclass may write: its arguments, and the shape of its value by what there is one entry for."""
+
+    arguments: tuple[str, ...]
+    shape: tuple[str, ...] = ()
+
+
+_AT, _MOVING, _FORCE = ("q",), ("q", "v"), ("speeds",)
+METHODS: Mapping[str, Method] = {
+    "mass_matrix": Method(_AT, ("speeds", "speeds")),
+    "velocity_map": Method(_AT, ("coordinates", "speeds")),
+    "actuation": Method(_AT, ("speeds", "actuators")),
+    "potential_energy": Method(_AT),
+    "bias": Method(_MOVING, _FORCE),
+    "coriolis": Method(_MOVING, ("speeds", "speeds")),
+    "forces": Method(_MOVING, _FORCE),
+    "constraint": Method(_AT, ("constraint_names",)),
+    "constraint_jacobian": Method(_AT, ("constraint_names", "speeds")),
+    "velocity_constraint": Method(_MOVING, ("velocity_constraint_names",)),
+    "torque_bounds": Method(_MOVING),
+    "load": Method(_MOVING, _FORCE),
+    "body_loads": Method(_MOVING),
+    "kinetic_energy": Method(_MOVING),
+    "dissipation": Method(_MOVING),
+    "accelerations": Method(("q", "v", "torque"), _FORCE),
+    "inverse_dynamics": Method(("q", "v", "v_dot"), _FORCE),
+    "forward_dynamics": Method(("q", "v", "force"), _FORCE),
+    "bodies": Method(()),
+    "closures": Method(()),
+}
+"""What a subclass may write. Each method may take the time `t`, in s, after its arguments."""
+
+CONSTRAINTS: Mapping[str, str] = {"constraint_names": "constraint", "velocity_constraint_names": "velocity_constraint"}
+"""The names of equations, and the methods that return what is left of these."""
+
+_OPEN = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+
+def call_of(name: str) -> str:
+    """A method as it is called without time: `mass_matrix(q)`."""
+    return f"{name}({', '.join(METHODS[name].arguments)})"
+
+
+@cache
+def timed_methods(kind: type) -> frozenset[str]:
+    """The methods of a class of mechanical systems that take the time.
+
+    Raises `ProblemError` for a method with missing or unknown arguments.
+    """
+    return frozenset(name for name in METHODS if hasattr(kind, name) and _names_time(kind, name))
+
+
+def _names_time(kind: type, name: str) -> bool:
+    parameters = list(inspect.signature(getattr(kind, name)).parameters.values())[1:]
+    count = len(METHODS[name].arguments)
+    plain = [one for one in parameters if one.kind not in _OPEN]
+    own, further = plain[:count], plain[count:]
+    unknown = [one for one in further if one.name != "t" and one.default is inspect.Parameter.empty]
+    too_few = len(own) < count and len(plain) == len(parameters)
+    if too_few or unknown or any(one.name == "t" for one in own):
+        with_time = ", ".join((*METHODS[name].arguments, "t"))
+        raise ProblemError(
+            f"{kind.__name__}.{name}: expected {call_of(name)}, or {name}({with_time}) where it depends on time; "
+            f"received {name}({', '.join(str(one) for one in parameters)}). Put anything else it needs into fields."
+        )
+    return any(one.name == "t" for one in further)
+
+
+def refuse_lost(kind: Any) -> None:
+    """Raise `ProblemError` for methods that would do nothing, and for constraints of a base class that would go.
+
+    A method that is called much like one that the class has, with as many arguments, is a slip.
+    """
+    who, bases = kind.__name__, kind.__mro__[1:]
+    for name, value in vars(kind).items():
+        is_known = name in METHODS or any(hasattr(base, name) for base in bases)
+        if name.startswith("_") or is_known or not inspect.isfunction(value):
+            continue
+        count = len(inspect.signature(value).parameters) - 1
+        alike = [one for one, own in METHODS.items() if hasattr(kind, one) and count - len(own.arguments) in (0, 1)]
+        if close := get_close_matches(name, alike, n=1, cutoff=0.85):
+            raise ProblemError(
+                f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
+            )
+    for base, (field, method) in product(bases, CONSTRAINTS.items()):
+        names, declared = vars(base).get(field, ()), getattr(kind, field)
+        known = isinstance(names, tuple | list) and isinstance(declared, tuple | list)
+        if lost := [name for name in names if name not in declared] if known else []:
+            raise ProblemError(
+                f"{who}.{field} leaves out {lost} of {base.__name__}. Name them too, and return their equations as "
+                f"well: (*super().{call_of(method)}, ...)."
+            )
 
 
 @final

@@ -10,13 +10,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import in_library
 from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._declared import CONSTRAINTS, call_of, refuse_lost, timed_methods
-from aleator.mechanics._instant import along_time, at, course, is_timed
+from aleator.mechanics._instant import (
+    CONSTRAINTS,
+    METHODS,
+    along_time,
+    at,
+    call_of,
+    course,
+    is_timed,
+    refuse_lost,
+    timed_methods,
+)
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import Numbers
 
@@ -156,8 +164,8 @@ class AbstractMechanical(Module, Printed):
 
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
         """`G(q)`, of `ġ = G v + ∂g/∂t`: by derivatives of `constraint(q)`."""
-        slope = jax.jacfwd(lambda at: shaped(self, "constraint", (at,), (len(self.constraint_names),)))(q)
-        return slope if self.moves_directly else slope @ rate_map(self, q)
+        slope = jax.jacfwd(lambda at: value_of(self, "constraint", at))(q)
+        return slope if self.moves_directly else slope @ value_of(self, "velocity_map", q)
 
     def velocity_constraint(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:
         """`A(q) v + b(q)`: what is zero in every motion, one number for each of `velocity_constraint_names`.
@@ -231,7 +239,7 @@ class AbstractMechanical(Module, Printed):
 
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """The sum of all external loads, as a generalised force."""
-        return shaped(self, "load", (q, v), (len(self.speeds),))
+        return value_of(self, "load", q, v)
 
     def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates projected to valid ones, such as unit quaternions; unchanged by default."""
@@ -255,22 +263,18 @@ class AbstractMechanical(Module, Printed):
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The generalised force `M v̇ + C v + N` that a motion requires (equation 3)."""
-        return mass_of(self, q) @ v_dot + bias_of(self, q, v)
+        return value_of(self, "mass_matrix", q) @ v_dot + value_of(self, "bias", q, v)
 
     def forward_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The acceleration `v̇` under a generalised force; NaN where `M` is singular."""
-        return solve_positive(mass_of(self, q), force - bias_of(self, q, v))
+        return solve_positive(value_of(self, "mass_matrix", q), force - value_of(self, "bias", q, v))
 
     @property
     def computes_by_numpy(self) -> bool:
         """Whether NumPy alone computes the equations of motion at known numbers, without a program."""
         return False
-
-    def as_computed(self, arrays: Any) -> Any:
-        """Arrays for these equations: known ones as NumPy's, if it computes them."""
-        return in_library(arrays)[1] if self.computes_by_numpy else arrays
 
     def refuse_impossible(self) -> None:
         """Raise `ProblemError` for known numbers that no such system has, such as negative masses."""
@@ -305,23 +309,10 @@ class AbstractMechanical(Module, Printed):
         return {}
 
 
-def mass_of(model: AbstractMechanical, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
-    """`M(q)` as an array. Raises `ProblemError` for another shape."""
-    n = len(model.speeds)
-    return shaped(model, "mass_matrix", (q,), (n, n))
-
-
-def bias_of(
-    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]
-) -> Float[Array, " speeds"]:
-    """`C(q, v) v + N(q, v)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "bias", (q, v), (len(model.speeds),))
-
-
 def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
     """`g(q)` as an array: of closed loops, then the model's own. Raises `ProblemError` for another shape."""
     loops, own = model.closing(q), len(model.constraint_names)
-    return jnp.concatenate([loops, shaped(model, "constraint", (q,), (own,))]) if own else loops
+    return jnp.concatenate([loops, value_of(model, "constraint", q)]) if own else loops
 
 
 def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:
@@ -331,32 +322,20 @@ def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float
 
 def required_force(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " speeds"]:
     """The generalised force that the actuators must provide for a motion, under the external load (equation 69)."""
-    force = shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),))
+    force = value_of(model, "inverse_dynamics", q, v, v_dot)
     return force - load_on(model, q, v) if model.is_loaded else force
 
 
 def driven(model: AbstractMechanical, q: Array, v: Array, force: Array) -> Float[Array, " speeds"]:
     """The acceleration under the actuators' generalised force and the external load (equation 68)."""
-    return shaped(model, "forward_dynamics", (q, v, force + load_on(model, q, v)), (len(model.speeds),))
+    return value_of(model, "forward_dynamics", q, v, force + load_on(model, q, v))
 
 
-def actuation_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
-    """`B(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "actuation", (q,), (len(model.speeds), len(model.actuators)))
-
-
-def rate_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
-    """`H(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "velocity_map", (q,), (len(model.coordinates), len(model.speeds)))
-
-
-def shaped(
-    model: AbstractMechanical, name: str, arguments: tuple[Any, ...], shape: tuple[int, ...]
-) -> Float[Array, "..."]:
+def value_of(model: AbstractMechanical, name: str, *arguments: Any) -> Float[Array, "..."]:
     """The value of a user's method as an array. Raises `ProblemError` for what is none, or has another shape."""
-    who = f"{type(model).__name__}.{call_of(name)}"
+    who, expected = f"{type(model).__name__}.{call_of(name)}", METHODS[name].shape
     array = traceable(who, evaluated(model, name, *arguments))
-    if array.shape != shape:
+    if array.shape != (shape := tuple(len(getattr(model, names)) for names in expected)):
         raise ProblemError(f"{who}: expected shape {shape}; received {array.shape}.")
     return array
 
@@ -376,7 +355,7 @@ def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
 
 def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coordinates"]:
     """`q̇ = H(q) v`, equation (4)."""
-    return v if model.moves_directly else rate_map(model, q) @ v
+    return v if model.moves_directly else value_of(model, "velocity_map", q) @ v
 
 
 def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " coordinates"]:

@@ -10,13 +10,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import members
 from aleator._core.errors import ProblemError
-from aleator.mechanics._bodies import Body, behind, refuse_moving_places, sorted_bodies, with_numbers, without_numbers
-from aleator.mechanics._closures import Closed, Closure, Coupling, closed, couplings_apart
-from aleator.mechanics._declared import timed_methods
-from aleator.mechanics._instant import is_timed, later
-from aleator.mechanics._joints import AbstractJoint
-from aleator.mechanics._loads import BodyLoad, generalised
+from aleator.mechanics._bodies import (
+    AbstractJoint,
+    Body,
+    behind,
+    refuse_moving_places,
+    sorted_bodies,
+    with_numbers,
+    without_numbers,
+)
+from aleator.mechanics._closures import BodyLoad, Closed, Closure, Coupling, closed, couplings_apart, generalised
+from aleator.mechanics._instant import is_timed, later, timed_methods
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._spatial import GROUND, Numbers, Pose, as_array
 from aleator.mechanics._tree_dynamics import (
@@ -291,10 +297,7 @@ class Multibody(AbstractMechanical):
         return self._bodies()
 
     def _bodies(self) -> Sequence[Body]:
-        given = evaluated(self, "bodies")
-        if not isinstance(given, tuple | list) or not all(isinstance(body, Body) for body in given):
-            raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
-        return given
+        return members(f"{type(self).__name__}.bodies()", evaluated(self, "bodies"), Body)
 
     def _closed(self) -> tuple[Closed, list[Coupling]]:
         """The closed loops, as columns, and the couplings."""
@@ -304,11 +307,7 @@ class Multibody(AbstractMechanical):
         return closed(type(self).__name__, loops, self._tree()), couplings
 
     def _closures(self) -> tuple[list[Closure], list[Coupling]]:
-        every = evaluated(self, "closures")
-        if not isinstance(every, tuple | list) or not all(isinstance(each, Closure | Coupling) for each in every):
-            raise ProblemError(
-                f"{type(self).__name__}.closures returns a tuple of al.joints.Closure; received {every!r}."
-            )
+        every = members(f"{type(self).__name__}.closures()", evaluated(self, "closures"), (Closure, Coupling))
         loops = [closure for closure in every if isinstance(closure, Closure)]
         return loops, [closure for closure in every if isinstance(closure, Coupling)]
 

@@ -1,30 +1,34 @@
-"""The equations of motion where some coordinates are prescribed: accelerations, torques and multipliers together.
+"""The equations of motion where some coordinates are prescribed: accelerations, torques and multipliers together; and
+the outputs of the motion, by name.
 
 Equations (70) and (71), and with constraints the saddle-point form of equation (6) for what is not prescribed. Forward
 dynamics prescribe nothing, inverse dynamics everything: these two take the short cuts of a model, if it has any.
 """
 
 import functools
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Bound, Loose, Saddle, jacobian_of, put_back, velocity_constraint_of
+from aleator._core.errors import ProblemError
+from aleator.mechanics._constraints import Bound, Loose, Saddle, jacobian_of, put_back
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._matrices import block, merged, product, solve_any, spread, taken
+from aleator.mechanics._matrices import block, entries, merged, product, solve_any, spread, taken
 from aleator.mechanics._mechanical import (
     AbstractMechanical,
-    actuation_map,
-    bias_of,
+    Motion,
+    accelerations,
     constraint_of,
     driven,
     load_on,
-    mass_of,
     on_manifold,
-    rate_map,
     rates,
     required_force,
+    value_of,
 )
 from aleator.mechanics._sharing import Shares, bounds_of, shared
 from aleator.mechanics._spatial import Numbers
@@ -153,7 +157,7 @@ def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: 
         if model.acts_directly and bounds is None:
             found = Shares(force)
         else:
-            found = shared(actuation_map(model, path.q), force, bounds)
+            found = shared(value_of(model, "actuation", path.q), force, bounds)
         motion = Solved(path.q, path.q_dot, path.v, path.v_dot, found.torque, path.q_ddot)
         return motion.checked(motion_error(model, parts, path.q, path.q_dot, path.v), found)
     q = model.normalised(q_u)
@@ -175,7 +179,7 @@ def motion_error(model: AbstractMechanical, parts: Partition, q: Array, rate: Ar
         apart.append(taken(rate - rates(model, q, v), parts.prescribed))
         sizes.append(taken(rate, parts.prescribed))
     if model.velocity_constraint_names:
-        apart.append(velocity_constraint_of(model, q, v))
+        apart.append(value_of(model, "velocity_constraint", q, v))
         sizes.append(v)
     amount, size = (jnp.abs(jnp.concatenate(both)).max() for both in (apart, sizes))
     return amount, amount <= _RATE_ERROR * size + _STILL * jnp.abs(q).max()
@@ -192,24 +196,24 @@ def _partly_prescribed(
         q_u = taken(q, parts.others)
     q, rate, _, v_a, v_dot_a = follow(model, parts, given, q_u, v_u)
     model = model.seen_at(q)
-    M, bound = mass_of(model, q), Bound(model, q)
+    M, bound = value_of(model, "mass_matrix", q), Bound(model, q)
     G_a, G_u = (columns(bound.G, some) for some in (a, u))
     saddle = Saddle(block(M, u, u), G_u)
     # By the least kinetic energy of a change of what is not prescribed.
     v = parts.joined(v_a, v_u)
     if model.constraints:
         v = parts.joined(v_a, v_u - saddle.least(bound.rate(v)))
-    rest = bias_of(model, q, v) - load_on(model, q, v) - _known_force(model, parts, q, given)
+    rest = value_of(model, "bias", q, v) - load_on(model, q, v) - _known_force(model, parts, q, given)
     force, gamma, found = -taken(rest, u), bound.acceleration(v), Shares(given.known)
     if not a:
         v_dot, multipliers = saddle.solve(force, gamma)
     elif parts.surplus:
         v_dot = parts.joined(v_dot_a, saddle.least(gamma - product(G_a, v_dot_a)))
-        B, needed = columns(actuation_map(model, q), free), product(M, v_dot) + rest
+        B, needed = columns(value_of(model, "actuation", q), free), product(M, v_dot) + rest
         found = shared(B, needed, bounds_of(model, q, v, free), bound.G)
         multipliers = solve_any(bound.G.T, product(B, found.torque) - needed)
     else:
-        M_ua, B = block(M, u, a), actuation_map(model, q)
+        M_ua, B = block(M, u, a), value_of(model, "actuation", q)
         B_a, B_u = block(B, a, free), block(B, u, free)
         # The other accelerations and the multipliers: with no unknown torque, and for each of these.
         forces = jnp.concatenate([(force - product(M_ua, v_dot_a))[:, None], B_u], axis=1)
@@ -244,7 +248,7 @@ def _known_force(model: AbstractMechanical, parts: Partition, q: Array, given: P
         return jnp.zeros(parts.speeds)
     if model.acts_directly:
         return spread(given.known, parts.known, parts.speeds) if parts.unknown else given.known
-    return columns(actuation_map(model, q), parts.known) @ given.known
+    return columns(value_of(model, "actuation", q), parts.known) @ given.known
 
 
 def effect_of_torques(
@@ -257,10 +261,10 @@ def effect_of_torques(
     a, u, free = parts.driven, parts.undriven, parts.unknown
     if not a or (not u and model.acts_directly):
         return None
-    B = actuation_map(model, q)
+    B = value_of(model, "actuation", q)
     if not (u or model.constraints):
         return B
-    M, G = mass_of(model, q), jacobian_of(model, q)
+    M, G = value_of(model, "mass_matrix", q), jacobian_of(model, q)
     if parts.surplus:
         return jnp.concatenate([columns(B, free), G.T], axis=1)
     G_a, G_u = (columns(G, some) for some in (a, u))
@@ -288,10 +292,80 @@ def follow(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: 
         return Followed(q, given.velocity, given.acceleration, given.velocity, given.acceleration)
 
     def own(now: AbstractMechanical, where: Array) -> Array:
-        return columns(taken(rate_map(now, where), a), parts.driven)
+        return columns(taken(value_of(now, "velocity_map", where), a), parts.driven)
 
     q, rate, acceleration = on_manifold(model, q, *(parts.merged(one, still) for one in given[1:3]))
     v_a = solve_any(own(model, q), taken(rate, a))
     q_dot = rates(model, q, parts.joined(v_a, v_u)) if parts.undriven else rate
     change = along_time(lambda *now: own(*now) @ v_a, model, (q,), (q_dot,))[1]
     return Followed(q, rate, acceleration, v_a, solve_any(own(model, q), taken(acceleration, a) - change))
+
+
+# Outputs that are known even where they say that others are not.
+_AMOUNTS = {"constraint_drift": "drift", "motion_error": "motion_error", "torque_shortfall": "shortfall"}
+
+
+def outputs_of(model: AbstractMechanical, t: Any, solved: Solved, torque_rate: Array | None) -> dict[str, Any]:
+    """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
+
+    Not a number where constraints or prescribed rates were not obeyed, except for how far they were missed.
+
+    Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
+    """
+    if solved.valid is not None:
+        beside = {name: getattr(solved, name) for name in _AMOUNTS.values()}
+        solved = jax.tree.map(lambda part: jnp.where(solved.valid, part, jnp.nan), solved)._replace(**beside)
+    q, q_dot, v, v_dot, torque = solved[:5]
+    q_ddot = accelerations(model, q, v, v_dot) if solved.q_ddot is None else solved.q_ddot
+    motion = Motion(t, q, q_dot, q_ddot, v, v_dot, torque)
+    if model.constraints:
+        motion = motion._replace(multipliers=solved.multipliers)
+    own = model.seen_at(q).outputs(motion)
+    if solved.valid is not None:
+        own = jax.tree.map(lambda part: jnp.where(solved.valid, part, jnp.nan), own)
+    return _named(model, _standard(model, motion, torque_rate, solved) + _missed(solved), own)
+
+
+def _standard(
+    model: AbstractMechanical, motion: Motion, torque_rate: Array | None, solved: Solved
+) -> list[tuple[str, Any]]:
+    listed: list[tuple[str, Any]] = []
+    for name, *along in zip(model.coordinates, *map(entries, (motion.q, motion.q_dot, motion.q_ddot)), strict=True):
+        listed += zip((name, f"{name}_rate", f"{name}_acceleration"), along, strict=True)
+    coordinate_rates = {f"{name}_rate" for name in model.coordinates}
+    for name, *along in zip(model.speeds, entries(motion.v), entries(motion.v_dot), strict=True):
+        listed += zip((name, f"{name}_rate"), along, strict=True) if name not in coordinate_rates else ()
+    listed += zip(model.actuators, entries(motion.torque), strict=True)
+    if torque_rate is not None:
+        listed += zip((f"{name}_rate" for name in model.actuators), entries(torque_rate), strict=True)
+    if model.constraints:
+        missed = {"constraint_error": solved.constraint, "constraint_rate_error": solved.constraint_rate}
+        listed += [(name, jnp.abs(one).max(initial=0.0)) for name, one in missed.items()]
+        listed += zip((f"{name}_multiplier" for name in model.constraints), entries(motion.multipliers), strict=True)
+        listed += zip(
+            (f"{name.removesuffix('_rate')}_reaction" for name in model.speeds), entries(solved.reactions), strict=True
+        )
+    return listed
+
+
+def _missed(solved: Solved) -> list[tuple[str, Any]]:
+    amounts = ((name, getattr(solved, part)) for name, part in _AMOUNTS.items())
+    return [(name, amount) for name, amount in amounts if amount is not None]
+
+
+def _named(model: AbstractMechanical, listed: list[tuple[str, Any]], own: Any) -> dict[str, Any]:
+    """Standard outputs and the model's own."""
+    standard = dict(listed)
+    if twice := sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1):
+        raise ProblemError(
+            f"{type(model).__name__}: {twice} name two outputs each; rename its coordinates, velocities or actuators."
+        )
+    if not isinstance(own, Mapping):
+        raise ProblemError(
+            f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."
+        )
+    if taken := sorted(set(standard) & set(own)):
+        raise ProblemError(
+            f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
+        )
+    return {**standard, **own}

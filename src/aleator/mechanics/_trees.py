@@ -7,8 +7,20 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from aleator.mechanics._bodies import STRAIGHT, Body, Inertia, behind, inertias, placement, sorted_bodies
-from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Free, Prismatic
+from aleator.mechanics._bodies import (
+    STRAIGHT,
+    AbstractAxial,
+    Ball,
+    Body,
+    Fixed,
+    Free,
+    Inertia,
+    Prismatic,
+    behind,
+    inertias,
+    placement,
+    sorted_bodies,
+)
 from aleator.mechanics._spatial import (
     GROUND,
     Numbers,

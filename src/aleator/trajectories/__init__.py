@@ -30,9 +30,9 @@ from aleator.trajectories._signals import AbstractTrajectory as AbstractTrajecto
 from aleator.trajectories._signals import Parametrised as Parametrised
 from aleator.trajectories._signals import Stack as Stack
 from aleator.trajectories._signals import Total as Total
+from aleator.trajectories._signals import WhiteNoise as WhiteNoise
 from aleator.trajectories._signals import as_array as as_array
 from aleator.trajectories._signals import common_span as common_span
 from aleator.trajectories._signals import instants as instants
 from aleator.trajectories._signals import signal as signal
 from aleator.trajectories._signals import total as total
-from aleator.trajectories._white_noise import WhiteNoise as WhiteNoise
