@@ -15,9 +15,8 @@ from aleator._core.border import one_of, real_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.leaves import Drawn, Printed
 from aleator.analysis._abstract_expanded import prepared
-from aleator.analysis._expand import expand
+from aleator.analysis._expand import Sampler, expand
 from aleator.analysis._expanded import Expanded
-from aleator.analysis._sampling import Sampler
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
