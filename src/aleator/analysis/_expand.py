@@ -141,7 +141,7 @@ def _warn_of_intervals(over: OverIntervals) -> None:
         )
 
 
-def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:
+def _in_elements(sampler: "Sampler", settings: MultiElement) -> ElementExpanded:
     fresh = {} if sampler.is_traced else {"fresh_points": _CALLED}
     refinement = Refinement(sampler.places.germs, settings, lambda at: sampler.samples(jax_array(at)), **fresh)
     refinement.run()
@@ -156,7 +156,7 @@ def _stacked(*terms: Array) -> Array:
     return jax_array(library.stack(known))
 
 
-def _discretised(sampler: Sampler, expansion: Expansion) -> Discretisation:
+def _discretised(sampler: "Sampler", expansion: Expansion) -> Discretisation:
     """Basis and collocation: built once for all functions of one germ, unless the outputs choose the terms."""
     germs = tuple(sampler.places.germs.items())
     if isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse):

@@ -1,6 +1,4 @@
-"""`Expanded`: a function of uncertain inputs by one expansion, with its errors and Shapley effects; `ElementExpanded`: by
-one in each element.
-"""
+"""`Expanded`: a function of uncertain inputs by one expansion, with errors and Shapley effects; `ElementExpanded`."""
 
 import math
 from collections import Counter
