@@ -247,7 +247,7 @@ class Gumbel(AbstractFamily):
         std=lambda: _GUMBEL_STD,
     )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
-        ("location", "scale"): Form(lambda location, scale: Canonical(location, scale)),
+        ("location", "scale"): Form(Canonical),
         ("mean", "std"): Form(
             lambda mean, std: Canonical(mean - np.euler_gamma * std / _GUMBEL_STD, std / _GUMBEL_STD)
         ),
