@@ -195,22 +195,11 @@ def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolve
     assert expanded.leave_one_out == np.inf  # no collocation point checks it, fresh ones do
 
 
-GAIN = {"value": 2.0}
 INPUT = {"x": al.Uniform.bounds(0.0, 2.0)}
 
 
 def expanded(function, model):
     return float(al.expand(function, model, al.Expansion(order=3)).mean)
-
-
-@pytest.mark.slow
-def test_a_changed_global_is_read(monkeypatch):
-    def response(m):
-        return GAIN["value"] + 0.0 * m["x"]
-
-    for gain in (2.0, 4.0, 2.0):
-        monkeypatch.setitem(GAIN, "value", gain)
-        assert expanded(response, INPUT) == pytest.approx(gain)
 
 
 def test_whole_numbers_of_the_model_are_part_of_the_equations():

@@ -16,7 +16,6 @@ from aleator.ensemble import (
     announced,
     at_levels,
     draw,
-    few_at_once,
     in_batches,
     parts,
     random_levels,
@@ -192,10 +191,3 @@ def test_a_program_is_compiled_for_one_size_by_the_thread_that_asks(count):
     np.testing.assert_allclose(found["moved"], points + np.array([1.0, -1.0]), rtol=1e-14)
     assert program.compilations == 1
     assert ran_by == [threading.current_thread()]
-
-
-@pytest.mark.parametrize("count", cases([120, 7]))
-def test_few_points_at_once_give_what_all_do(count):
-    points = np.linspace(0.0, 1.0, 2 * count).reshape(count, 2)
-    found = jax.jit(lambda points: few_at_once(lambda point: {"sum": point.sum()}, points))(points)
-    np.testing.assert_allclose(found["sum"], points.sum(axis=1), rtol=1e-15)

@@ -1,9 +1,12 @@
-"""Point sets in the unit cube against scipy's, closed forms and what they promise."""
+"""Point sets in the unit cube against scipy's, closed forms and what they promise, in many variables too."""
+
+import math
 
 import numpy as np
 import pytest
 from scipy.stats import norm, qmc
 
+import aleator as al
 from aleator.expansion import (
     Basis,
     ChristoffelPoints,
@@ -16,6 +19,7 @@ from aleator.expansion import (
     TotalDegree,
 )
 from aleator.uncertainty import HermiteGerm, LegendreGerm
+from zoo import cases
 
 EVEN = [HammersleyPoints(), HaltonPoints(), SobolPoints(), LatinHypercubePoints(), RandomPoints()]
 SEEDED = [SobolPoints, LatinHypercubePoints, RandomPoints, ChristoffelPoints, OptimalPoints]
@@ -77,3 +81,21 @@ def test_a_seed_gives_the_same_points_again_and_another_one_others(kind):
     first, again, other = (kind(10, seed=seed).nodes(basis, 0).points for seed in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.any(first == other)
+
+
+DISTRIBUTIONS = {"uniform": al.Uniform.bounds(1.0, 3.0), "normal": al.Normal(2.0, 0.5)}
+STDS = {"uniform": 1 / math.sqrt(3), "normal": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("kind", "variables", "order"),
+    cases([("normal", 12, 2), ("uniform", 100, 1), ("uniform", 9, 2), ("normal", 30, 1)], 2),
+)
+def test_a_linear_function_of_many_variables_is_expanded_to_rounding_at_a_small_condition_number(
+    kind, variables, order
+):
+    model = {f"x{i}": DISTRIBUTIONS[kind] for i in range(variables)}
+    expanded = al.expand(lambda at: sum(at.values()), model, al.Expansion(order))
+    assert float(expanded.mean) == pytest.approx(2.0 * variables, rel=1e-12)
+    assert float(expanded.std) == pytest.approx(STDS[kind] * math.sqrt(variables), rel=1e-12)
+    assert float(expanded.collocation.condition_number) < 6.0

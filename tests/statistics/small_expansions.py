@@ -4,6 +4,13 @@ import numpy as np
 
 from aleator._core.arrays import jax_array
 from aleator.expansion import Basis, TotalDegree
+from aleator.statistics import Constants
+
+
+def prepare(statistics, basis):
+    """The constants of all statistics, as problems have them."""
+    preparations = tuple(dict.fromkeys(one.preparation for one in statistics if one.preparation is not None))
+    return Constants(preparations, tuple(preparation(basis) for preparation in preparations))
 
 
 def basis_of(germs, order):

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_expansions import basis_of, random_coefficients
+from small_expansions import basis_of, prepare, random_coefficients
 
 from aleator import statistics
-from aleator.statistics import AbstractStatistic, prepare
+from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 from zoo import cases

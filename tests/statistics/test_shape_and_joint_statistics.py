@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
+from small_expansions import basis_of, coefficients_of_polynomial, prepare, random_coefficients
 
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
-from aleator.statistics import CornishFisher, Correlation, Covariance, Kurtosis, Skewness, prepare
+from aleator.statistics import CornishFisher, Correlation, Covariance, Kurtosis, Skewness
 from aleator.statistics import _shape as shape_module
 from aleator.statistics._shape import square
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm

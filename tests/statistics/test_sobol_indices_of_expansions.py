@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_expansions import basis_of, random_coefficients
+from small_expansions import basis_of, prepare, random_coefficients
 
 from aleator._core.errors import ProblemError
 from aleator.expansion import Expansion, collocate
-from aleator.statistics import Sobol, prepare
+from aleator.statistics import Sobol
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 from compiling import compiled
 

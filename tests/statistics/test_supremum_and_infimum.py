@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scipy import optimize
-from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
+from small_expansions import basis_of, coefficients_of_polynomial, prepare, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.statistics import Infimum, Supremum, _extremes, prepare
+from aleator.statistics import Infimum, Supremum, _extremes
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate, special, stats
-from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
+from small_expansions import basis_of, coefficients_of_polynomial, prepare, random_coefficients
 
 import aleator as al
 from aleator._core.errors import ProblemError
@@ -20,7 +20,6 @@ from aleator.statistics import (
     cdf,
     lines_through,
     pdf,
-    prepare,
     together,
 )
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm

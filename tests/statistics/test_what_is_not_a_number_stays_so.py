@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_expansions import basis_of, random_coefficients
+from small_expansions import basis_of, prepare, random_coefficients
 
 import aleator as al
 from aleator.statistics import (
@@ -21,7 +21,6 @@ from aleator.statistics import (
     Std,
     Supremum,
     Variance,
-    prepare,
     root,
 )
 from aleator.uncertainty import LegendreGerm

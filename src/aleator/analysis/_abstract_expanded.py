@@ -5,11 +5,10 @@ The text shows the uncertain inputs, the moments of each output, its main contri
 
 import abc
 import math
-import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax
@@ -24,16 +23,18 @@ from aleator._core.compilation import Use, evaluate, evaluate_traced
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.identity import traced_once
 from aleator._core.leaves import Drawn, Module, is_traced
-from aleator.analysis._left_out import warn_of_shape, with_points_left_out
 from aleator.ensemble import at_levels, concrete, part, random_levels
-from aleator.expansion import AbstractBasis, Collocation
+from aleator.expansion import AbstractBasis, Collocation, left_out
 from aleator.statistics import (
     AbstractMeasured,
     AbstractStatistic,
     AbstractTail,
+    CornishFisher,
     Correlation,
     Covariance,
+    Kurtosis,
     Probability,
+    Skewness,
     Std,
     a_statistic,
     cdf,
@@ -42,9 +43,6 @@ from aleator.statistics import (
     refuse_correlated,
 )
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
-
-_PREPARED: "WeakKeyDictionary[AbstractBasis, dict[Any, Pytree]]" = WeakKeyDictionary()
-_LOCK = threading.Lock()
 
 # Germ values of unbounded distributions are sought between these probability levels.
 _FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
@@ -56,21 +54,21 @@ _LEAST_SHARE = 0.001
 _INTEGRATED, _NO_TAIL = 0.1, 1e-12
 # Statistics of so few numbers take less time than a program that is any faster.
 _FEW = 16
+# Points that are left out at most, those that change most; the products of coefficients that these may take in all.
+_MOST_LEFT_OUT, _PRODUCTS = 64, 10**8
+# The change that is told, as a part of the statistic, of one at least, or of a spread. An entry of a path varies if its
+# spread is more than this part of the largest.
+_TOLD, _NEGLIGIBLE = 0.1, 1e-6
 # A spread below this part of the mean is rounding.
 _ROUNDING = 1e-14
 
 
+@lru_cache(maxsize=64)
 def prepared(preparation: Callable[[AbstractBasis], Pytree] | None, basis: AbstractBasis) -> Pytree:
-    """The constants that a statistic needs of a basis: prepared on first use, and kept as long as the basis."""
-    if preparation is None:
-        return ()
-    with _LOCK:
-        known = _PREPARED.setdefault(basis, {})
-    if preparation not in known:
-        # Kept values must not belong to a function that is being traced.
-        with jax.ensure_compile_time_eval():
-            known[preparation] = preparation(basis)
-    return known[preparation]
+    """The constants that a statistic needs of a basis: prepared on first use, and kept for the next."""
+    # Kept values must not belong to a function that is being traced.
+    with jax.ensure_compile_time_eval():
+        return () if preparation is None else preparation(basis)
 
 
 class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
@@ -179,6 +177,49 @@ def _warn_of_integral(kind: AbstractStatistic, value: np.ndarray, error: np.ndar
         warnings.warn(
             f"{kind.text('output')} of the expansion is {value[worst]:.3g} ± {error[worst]:.1g} (95 %): few of the "
             "lines along which it is integrated meet that tail.",
+            ExpansionWarning,
+            stacklevel=4,
+        )
+
+
+def with_points_left_out(
+    kind: AbstractStatistic,
+    collocation: Collocation | None,
+    samples: Any,
+    terms: Float[Array, "terms *shape"],
+    constants: Any,
+) -> Float[np.ndarray, "terms some *shape"] | None:
+    """The coefficients, and those without one of the points each, for statistics of third and fourth powers.
+
+    The leave-one-out error is one of values, to which mean and spread owe theirs. High powers of polynomials may
+    instead owe theirs to tails so far out that no point is near: there each point that is left out makes them another
+    number.
+
+    None for other statistics, where the numbers are being traced, and where it would take long.
+    """
+    if collocation is None or not isinstance(kind, Skewness | Kurtosis | CornishFisher):
+        return None
+    if any(map(is_traced, (samples, terms, collocation.points))):
+        return None
+    known = np.asarray(terms)
+    most = min(_PRODUCTS // max(constants.values.size * known[0].size, 1), _MOST_LEFT_OUT)
+    return np.concatenate([known[:, None], left_out(collocation, np.asarray(samples), known, most)], axis=1)
+
+
+def warn_of_shape(
+    kind: AbstractStatistic, values: Float[np.ndarray, "some *shape"], terms: Float[np.ndarray, "terms *shape"]
+) -> None:
+    """Warn (`ExpansionWarning`) of a statistic with an error by the jackknife that one would act on."""
+    value, std = values[0], np.asarray(Std().of(jax_array(terms), ()))
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.sqrt(np.sum((values[1:] - value) ** 2, axis=0))
+    size = std if isinstance(kind, CornishFisher) else np.maximum(np.abs(value), 1.0)
+    told = ~(error <= _TOLD * size) & (std > _NEGLIGIBLE * np.max(std, initial=0.0))
+    if told.any():
+        worst = np.unravel_index(int(np.argmax(np.where(told, error / size, 0.0))), value.shape)
+        warnings.warn(
+            f"{kind.text('output')} of the expansion is {value[worst]:.3g} ± {error[worst]:.1g} by the jackknife: it "
+            "hangs on tails that no collocation point is near. Raise the order, or take al.references.monte_carlo.",
             ExpansionWarning,
             stacklevel=4,
         )

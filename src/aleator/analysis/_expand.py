@@ -1,25 +1,33 @@
-"""`expand`: any function of uncertain inputs as polynomials of them."""
+"""`expand`: any function of uncertain inputs as polynomials of them; `Sampler`, which evaluates it at germ points."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
-from typing import Any, overload
+from typing import Any, final, overload
 
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float
 
-from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_arrays
 from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.leaves import is_traced
 from aleator.analysis._abstract_expanded import extrapolates
-from aleator.analysis._element_expanded import ElementExpanded
-from aleator.analysis._expanded import Expanded
+from aleator.analysis._expanded import ElementExpanded, Expanded
 from aleator.analysis._over_intervals import OverIntervals, over_intervals
-from aleator.analysis._sampling import Sampler
-from aleator.ensemble import Function, concrete
+from aleator.ensemble import (
+    BoxEnsemble,
+    CalledEnsemble,
+    Function,
+    TracedEnsemble,
+    at_levels,
+    concrete,
+    ensemble_for,
+    even_levels,
+    uncertain_places,
+)
 from aleator.expansion import (
     ILL_CONDITIONED,
     Adaptive,
@@ -32,10 +40,14 @@ from aleator.expansion import (
     at_fewer_points,
     collocate,
     fresh_error,
+    plain,
     resolved_instants,
 )
-from aleator.uncertainty import AbstractGerm, constant, refuse_intervals
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Interval, constant, placements, refuse_intervals
 
+# Fresh points of a traced function: so many, and at least this part of the collocation points; of a called one, which
+# may take long.
+_FRESH, _PART, _FRESH_CALLED = 8, 10, 2
 # Fresh points by which elements of a function are checked that is called, which may take long.
 _CALLED = 128
 
@@ -129,7 +141,7 @@ def _warn_of_intervals(over: OverIntervals) -> None:
         )
 
 
-def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:
+def _in_elements(sampler: "Sampler", settings: MultiElement) -> ElementExpanded:
     fresh = {} if sampler.is_traced else {"fresh_points": _CALLED}
     refinement = Refinement(sampler.places.germs, settings, lambda at: sampler.samples(jax_array(at)), **fresh)
     refinement.run()
@@ -144,7 +156,7 @@ def _stacked(*terms: Array) -> Array:
     return jax_array(library.stack(known))
 
 
-def _discretised(sampler: Sampler, expansion: Expansion) -> Discretisation:
+def _discretised(sampler: "Sampler", expansion: Expansion) -> Discretisation:
     """Basis and collocation: built once for all functions of one germ, unless the outputs choose the terms."""
     germs = tuple(sampler.places.germs.items())
     if isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse):
@@ -220,3 +232,83 @@ def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[str | None]:
     known = [len(times) if count is None else int(count) for count in counts]
     until = [f"until t = {times[count - 1]:.4g} only" if count else "at no instant" for count in known]
     return [None if count == len(times) else word for count, word in zip(known, until, strict=True)]
+
+
+def fresh_points(
+    germs: Mapping[str, AbstractGerm], collocation_points: int, *, traced: bool
+) -> Float[np.ndarray, "fresh variables"]:
+    """Random germ points at which an expansion is checked, the same at every call: of no lattice, and of no fit."""
+    count = max(_FRESH, collocation_points // _PART) if traced else _FRESH_CALLED
+    levels = even_levels(np.random.default_rng([1, count]), count, len(germs))
+    return at_levels(germs.values(), levels)
+
+
+@final
+class Sampler:
+    """A function of a model's realisations at germ points, with decisions at their initial values.
+
+    If traced, it is differentiable by every number of the model, and other numbers compile nothing anew. If called, it
+    is called once per point, however often a point is requested.
+
+    Raises `ProblemError` if nothing in the model is uncertain.
+    """
+
+    def __init__(self, function: Function, model: Pytree, *, traced: bool):
+        self.places = uncertain_places("expand", function, model, takes_intervals=True)
+        self.random = placements(model).distributions
+        decisions = {name: place.decision for name, place in self.places.decisions.items()}
+        self.intervals = {name: one for name, one in decisions.items() if isinstance(one, Interval)}
+        model = numbers_to_arrays(model) if traced else model
+        ensemble = ensemble_for(function, model, self.places, traced=traced)
+        self._box = ensemble if isinstance(ensemble, BoxEnsemble) else None
+        self._outputs: Callable[[Any], Pytree] = ensemble if isinstance(ensemble, TracedEnsemble) else _Once(ensemble)
+
+    @property
+    def is_traced(self) -> bool:
+        """Whether many points cost little more than one."""
+        return not isinstance(self._outputs, _Once)
+
+    @property
+    def distributions(self) -> dict[str, AbstractDistribution]:
+        """The distribution of each uncertain input by name, with its decisions at their initial values."""
+        return {name: distribution.initial() for name, distribution in self.places.distributions.items()}
+
+    def fresh(self, collocation_points: int) -> Float[np.ndarray, "fresh variables"]:
+        """The fresh points at which an expansion by so many collocation points is checked."""
+        return fresh_points(self.places.germs, collocation_points, traced=self.is_traced)
+
+    def samples(self, points: Float[Array, "points variables"]) -> Pytree:
+        """The function at germ points: its outputs with a leading axis for the points.
+
+        Raises the errors of an ensemble.
+        """
+        return self._outputs(points)
+
+    def present(self, points: Float[Array, "points variables"]) -> tuple[Pytree, Bool[np.ndarray, " points"]]:
+        """The function at the germ points that are not left out, which only a box does, and which points these are."""
+        if self._box is None:
+            return self.samples(points), np.ones(len(points), dtype=bool)
+        outputs, present = self._box.kept(points)
+        return jax.tree.map(jax_array, outputs), present
+
+    def known(self, points: Float[Any, "points variables"]) -> Pytree:
+        """The same as plain numbers, even under differentiation. Raises `ProblemError` inside `jax.jit`."""
+        return plain(self.samples(jax_array(points)))
+
+
+@final
+class _Once:
+    """A called function that remembers its result at each point, because a call may take long."""
+
+    def __init__(self, ensemble: CalledEnsemble | BoxEnsemble):
+        self._ensemble = ensemble
+        self._known: dict[bytes, Pytree] = {}
+
+    def __call__(self, points: Float[Array, "points variables"]) -> Pytree:
+        known = np.asarray(points)
+        keys = [point.tobytes() for point in known]
+        new = {key: point for key, point in zip(keys, known, strict=True) if key not in self._known}
+        if new:
+            outputs = self._ensemble(np.stack(list(new.values())), before=len(self._known))
+            self._known |= {key: jax.tree.map(lambda leaf, i=i: leaf[i], outputs) for i, key in enumerate(new)}
+        return jax.tree.map(lambda *values: jax_array(np.stack(values)), *(self._known[key] for key in keys))

@@ -15,24 +15,12 @@ from aleator._core.border import one_of, real_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.leaves import Drawn, Printed
 from aleator.analysis._abstract_expanded import prepared
-from aleator.analysis._expand import expand
+from aleator.analysis._expand import Sampler, expand
 from aleator.analysis._expanded import Expanded
-from aleator.analysis._sampling import Sampler
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
-from aleator.statistics import (
-    Kurtosis,
-    Mean,
-    Probability,
-    Skewness,
-    Sobol,
-    Std,
-    Supremum,
-    lines_through,
-    points_in_tail,
-    tail_proposal,
-)
+from aleator.statistics import Probability, Supremum, lines_through, points_in_tail, tail_proposal
 from aleator.uncertainty import (
     AbstractDistribution,
     Placements,
@@ -74,7 +62,7 @@ class Zone(NamedTuple):
 
 
 def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
-    """The zone of each dimension: as given, or from its distribution. See `tolerance_analysis`."""
+    """The zone of each dimension: as given, or from its distribution at the initial values of its decisions."""
     unknown = sorted(set(tolerances) - set(places.distributions))
     if unknown:
         raise ProblemError(
@@ -82,14 +70,12 @@ def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zon
             f"{list(places.distributions)}."
         )
     return {
-        name: _given(distribution, tolerances[name]) if name in tolerances else zone_of(distribution)
-        for name, distribution in places.distributions.items()
+        name: _given(one.initial(), tolerances[name]) if name in tolerances else _zone_of(one.initial())
+        for name, one in places.distributions.items()
     }
 
 
-def zone_of(distribution: AbstractDistribution) -> Zone:
-    """The zone that a distribution implies, at the initial values of its decisions."""
-    distribution = distribution.initial()
+def _zone_of(distribution: AbstractDistribution) -> Zone:
     if isinstance(distribution, Toleranced):
         return Zone(*map(float, distribution.limits()))
     lower, upper = map(float, distribution.support())
@@ -103,13 +89,8 @@ def _given(distribution: AbstractDistribution, tolerance: Any) -> Zone:
     minus, plus = tolerance if isinstance(tolerance, tuple) else (tolerance, tolerance)
     if not (np.isfinite([minus, plus]).all() and minus >= 0 and plus >= 0 and minus + plus > 0):
         raise ProblemError(f"tolerance_analysis: a tolerance is positive and finite; received {tolerance!r}.")
-    middle = float(distribution.initial().mean())
+    middle = float(distribution.mean())
     return Zone(middle - minus, middle + plus)
-
-
-def in_zones(model: Pytree, zones: Mapping[str, Zone]) -> Pytree:
-    """The model with each dimension free in its zone: uniform distributions, for the worst case."""
-    return with_distributions(model, lambda name, _: Uniform.bounds(*zones[name]))
 
 
 @final
@@ -191,7 +172,22 @@ class ToleranceAnalysis(Drawn):
         return _capability(min(self.upper - self.mean, self.mean - self.lower), 3 * self.std)
 
     def __str__(self) -> str:
-        return _text(self)
+        low, high = self.worst_case
+        error = f", ± {self.rejects_error:.2g} ppm" if self.rejects_error > _WORTH_SAYING * self.rejects else ""
+        rows = [
+            (self.output, f"nominal {self.nominal:.6g}, mean {self.mean:.6g}, 3σ {3 * self.std:.5g}"),
+            ("shape", f"skewness {self.skewness:.3g}, kurtosis {self.kurtosis:.4g} (0 and 3 if normal)"),
+            ("limits", f"{self.lower:g} to {self.upper:g}: Cp {self.cp:.3g}, Cpk {self.cpk:.3g}"),
+            ("rejects", f"{self.rejects_low:.3g} ppm low, {self.rejects_high:.3g} ppm high{error}"),
+            ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {self.rss:.5g}"),
+        ]
+        largest = sorted(self.contributions.items(), key=lambda item: -item[1].share)
+        rows += [
+            (name, f"{one.share:.3g} % of the variance{one.aside}, zone {one.zone}, sensitivity {one.sensitivity:.4g}")
+            for name, one in largest
+        ]
+        width = max(len(label) for label, _ in rows)
+        return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
 
 
 def _capability(distance: float, spread: float) -> float:
@@ -231,20 +227,21 @@ def tolerance_analysis(
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
     linear = linearise(function, model)
+    in_zones = with_distributions(model, lambda name, _: Uniform.bounds(*zones[name]))
     low, high = _beyond(expanded, Sampler(function, model, traced=True), lower, upper)
     return ToleranceAnalysis(
         output=name,
         nominal=float(linear.mean),
-        mean=_number(expanded, Mean()),
-        std=_number(expanded, Std()),
-        skewness=_number(expanded, Skewness()),
-        kurtosis=_number(expanded, Kurtosis()),
+        mean=float(expanded.mean),
+        std=float(expanded.std),
+        skewness=float(expanded.skewness),
+        kurtosis=float(expanded.kurtosis),
         lower=float(lower),
         upper=float(upper),
         rejects_low=PARTS_PER_MILLION * low[0],
         rejects_high=PARTS_PER_MILLION * high[0],
         rejects_error=PARTS_PER_MILLION * float(np.hypot(low[1], high[1])),
-        worst_case=_worst_case(function, in_zones(model, zones), expansion),
+        worst_case=_worst_case(function, in_zones, expansion),
         rss=float(linear.rss({name: zone.half_width for name, zone in zones.items()})),
         linear_std=float(linear.std),
         contributions=_contributions(expanded, linear, zones),
@@ -278,22 +275,15 @@ def _function(model: Pytree, output: str | Callable[[Any], Any]) -> tuple[Callab
     return value, output
 
 
-def _number(expanded: Expanded, statistic: Any) -> float:
-    return float(expanded.statistic(statistic))
-
-
 def _expanded(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> Expanded:
     """The expansion of the output; if an assembly has no solution at its means, the error says why."""
     try:
         return expand(function, model, expansion)
     except SimulationError as error:
-        why = _failure_at_means(model) if isinstance(model, AlgebraicSystem) else ""
-        raise SimulationError(f"{error} {why}".strip()) from error
-
-
-def _failure_at_means(system: AlgebraicSystem) -> str:
-    nominal = realise(at_means(system), jnp.zeros(0), jnp.asarray(placements(system).vector("initial")))
-    return explain_failure(nominal)
+        if not isinstance(model, AlgebraicSystem):
+            raise
+        nominal = realise(at_means(model), jnp.zeros(0), jnp.asarray(placements(model).vector("initial")))
+        raise SimulationError(f"{error} {explain_failure(nominal)}".strip()) from error
 
 
 def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> tuple[float, float]:
@@ -350,27 +340,7 @@ def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Z
             zone=zone,
             sensitivity=float(linear.sensitivities[name]),
             linear=float(linear.contributions[name]),
-            total=100 * _number(expanded, Sobol(name, total=True)) if name in expanded.basis.names else np.nan,
+            total=100 * float(expanded.total_sobol(name)) if name in expanded.basis.names else np.nan,
         )
         for name, zone in zones.items()
     }
-
-
-def _text(analysis: ToleranceAnalysis) -> str:
-    """The analysis as lines: output, limits, rejects, worst case, then the contributions, largest first."""
-    low, high = analysis.worst_case
-    error = f", ± {analysis.rejects_error:.2g} ppm" if analysis.rejects_error > _WORTH_SAYING * analysis.rejects else ""
-    rows = [
-        (analysis.output, f"nominal {analysis.nominal:.6g}, mean {analysis.mean:.6g}, 3σ {3 * analysis.std:.5g}"),
-        ("shape", f"skewness {analysis.skewness:.3g}, kurtosis {analysis.kurtosis:.4g} (0 and 3 if normal)"),
-        ("limits", f"{analysis.lower:g} to {analysis.upper:g}: Cp {analysis.cp:.3g}, Cpk {analysis.cpk:.3g}"),
-        ("rejects", f"{analysis.rejects_low:.3g} ppm low, {analysis.rejects_high:.3g} ppm high{error}"),
-        ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {analysis.rss:.5g}"),
-    ]
-    largest = sorted(analysis.contributions.items(), key=lambda item: -item[1].share)
-    rows += [
-        (name, f"{part.share:.3g} % of the variance{part.aside}, zone {part.zone}, sensitivity {part.sensitivity:.4g}")
-        for name, part in largest
-    ]
-    width = max(len(label) for label, _ in rows)
-    return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)

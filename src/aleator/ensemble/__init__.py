@@ -7,7 +7,6 @@ from aleator.ensemble._batches import draw as draw
 from aleator.ensemble._batches import drawn_from as drawn_from
 from aleator.ensemble._batches import each as each
 from aleator.ensemble._batches import even_levels as even_levels
-from aleator.ensemble._batches import few_at_once as few_at_once
 from aleator.ensemble._batches import fill as fill
 from aleator.ensemble._batches import in_batches as in_batches
 from aleator.ensemble._batches import parts as parts

@@ -16,7 +16,6 @@ from aleator.uncertainty import AbstractGerm
 
 # Systems whose histories are held in memory at a time: larger batches gain little time.
 _TOGETHER = 64
-_FINE_TOGETHER = 50
 
 # Work that takes longer than this is announced, s.
 _LONG = 60.0
@@ -139,10 +138,3 @@ def joined(work: Callable[[Part], Pytree], points: Float[np.ndarray, "n variable
     """The results of `work` for parts of the points, of `size` or fewer, one after the other as NumPy arrays."""
     results = [values for _, values in each(work, parts(points, size))]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
-
-
-def few_at_once(
-    function: Callable[[Float[Array, " variables"]], Pytree], points: Float[Array, "n variables"]
-) -> Pytree:
-    """Map a JAX function over points, some at a time in one program: fine histories of all would fill the memory."""
-    return jax.lax.map(function, points, batch_size=min(_FINE_TOGETHER, len(points)))

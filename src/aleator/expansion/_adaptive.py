@@ -67,57 +67,46 @@ def grow(
         )
     basis = Basis(germs, TotalDegree().indices(tuple(germs), 1))
     _check(settings, points, basis)
-    samples = _Samples(points, respond, basis)
+    nodes, outputs = Nodes(np.zeros((0, basis.variables)), np.zeros(0)), ()
+
+    def fitted(basis: Basis, count: int) -> _State:
+        """The fit at the first points of the sequence, at further ones of which the model is evaluated."""
+        nonlocal nodes, outputs
+        if count > (known := len(nodes.points)):
+            nodes = points.nodes(basis, count)
+            new = responses(respond, basis.names, nodes.points[known:], known)
+            outputs = tuple(map(np.concatenate, zip(outputs, new, strict=True))) if known else new
+        return _State(basis, nodes, outputs)
+
     count = _PER_TERM * basis.terms
     best, least = basis, np.inf
     while True:
-        samples.extend(count)
-        state = _State(basis, samples)
+        state = fitted(basis, count)
         if state.error > least and count < settings.budget:
             # A larger set with a larger error has too few points.
             count = min(settings.budget, math.ceil((1 + _GROWTH) * count))
-            samples.extend(count)
-            state = _State(basis, samples)
+            state = fitted(basis, count)
         if state.error < least:
             best, least = basis, state.error
         if least <= settings.error:
-            return best, samples.nodes
+            return best, nodes
         larger = state.enlarged(order, settings)
         if larger is None:
             is_order_spent = len(_candidates(basis.indices, order)) == 0
             limit = f"order {order}" if is_order_spent else f"budget of {settings.budget} points"
-            _warn(best, samples.nodes, least, settings, limit)
-            return best, samples.nodes
+            _warn(best, nodes, least, settings, limit)
+            return best, nodes
         basis = larger
         count = max(count, _PER_TERM * basis.terms)
-
-
-@final
-class _Samples:
-    """A model evaluated at the first points of a sequence."""
-
-    def __init__(self, points: AbstractPoints, respond: Respond, basis: Basis):
-        self._points, self._respond, self._basis = points, respond, basis
-        self.nodes = Nodes(np.zeros((0, basis.variables)), np.zeros(0))
-        self.outputs: tuple[Float[np.ndarray, "points entries"], ...] = ()
-
-    def extend(self, count: int) -> None:
-        """Evaluate the model at further points of the sequence, up to `count`."""
-        known = len(self.nodes.points)
-        if count == known:
-            return
-        self.nodes = self._points.nodes(self._basis, count)
-        new = responses(self._respond, self._basis.names, self.nodes.points[known:], known)
-        self.outputs = tuple(map(np.concatenate, zip(self.outputs, new, strict=True))) if known else new
 
 
 @final
 class _State:
     """The least-squares fit of all outputs in one basis, with its error and residuals."""
 
-    def __init__(self, basis: Basis, samples: _Samples):
-        self._basis, self._points = basis, samples.nodes.points
-        outputs = components(samples.outputs, samples.nodes.weights)
+    def __init__(self, basis: Basis, nodes: Nodes, outputs: tuple[Float[np.ndarray, "points entries"], ...]):
+        self._basis, self._points = basis, nodes.points
+        outputs = components(outputs, nodes.weights)
         self._orthogonal, triangular = np.linalg.qr(basis.matrix(self._points))
         remainder = 1 - np.sum(self._orthogonal**2, axis=1)
         self._residuals = [output - self._orthogonal @ (self._orthogonal.T @ output) for output in outputs]

@@ -21,8 +21,8 @@ from aleator._core.leaves import Module
 from aleator.expansion._basis import AbstractBasis
 from aleator.expansion._collocation import Collocation
 from aleator.uncertainty import AbstractGerm, LegendreGerm
-from aleator.uncertainty._families import tanh_sinh
 from aleator.uncertainty._measure import recurrence_of
+from aleator.uncertainty._quantiles import tanh_sinh
 
 # Probability levels that cluster at both ends of an element, with their weights.
 _LEVELS, _WEIGHTS = tanh_sinh(240, -4.0, 4.0)

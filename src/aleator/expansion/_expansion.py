@@ -91,7 +91,7 @@ class Expansion(Module):
             tails = isinstance(self.fit, LeastSquares)
             points = SobolPoints(points) if adaptive else UsualPoints(points, tails)
         self.points = points
-        self.tolerance = _checked_tolerance(tolerance)
+        self.tolerance = border.positive("Expansion: tolerance, the relative error of a resolved output", tolerance)
         if adaptive and not isinstance(self.fit, LeastSquares):
             raise ProblemError(
                 f"Expansion: an Adaptive index set is fitted by least squares; received {type(fit).__name__}. Drop "
@@ -105,11 +105,6 @@ class Expansion(Module):
             f"{order} in {len(germs)} variables, {type(self.index_set).__name__} index set, "
             f"{type(self.points.of(germs)).__name__}, {type(self.fit).__name__} fit"
         )
-
-
-def _checked_tolerance(tolerance: float) -> float:
-    what = "Expansion: tolerance, the relative leave-one-out error up to which outputs count as resolved"
-    return border.positive(what, tolerance)
 
 
 class Discretisation(NamedTuple):

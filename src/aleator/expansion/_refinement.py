@@ -158,7 +158,7 @@ class Refinement:
                 self._try_fresh_points()
                 if self.error <= self._settings.error:
                     return
-            if not self._affords(per_split):
+            if self.calls + per_split > self._settings.budget:
                 warnings.warn(
                     f"MultiElement: {len(self.elements)} elements leave an estimated error of {self.error:.1e} of the "
                     f"standard deviation, where {self._settings.error:.1e} is asked, after {self.calls} of "
@@ -180,9 +180,6 @@ class Refinement:
     def error(self) -> float:
         """The estimated relative rms error, the largest over the outputs."""
         return float(np.sqrt(self._shares().sum(axis=0).max()))
-
-    def _affords(self, calls: int) -> bool:
-        return self.calls + calls <= self._settings.budget
 
     def _add(self, cell: Cell) -> None:
         element = _expanded_in(cell, self.germs, self._expansion, self._respond)

@@ -1,6 +1,7 @@
 """Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion.
 
-Its outputs at the whole sample are kept in memory; statistics of them are estimates with standard errors.
+Its outputs at the whole sample are kept in memory; statistics of them are estimates with standard errors. Sobol indices
+by pick and freeze tell how much of a variance comes from each input.
 """
 
 import math
@@ -13,7 +14,6 @@ import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
-from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Pytree, refuse_beyond_memory
 from aleator._core.border import Progress, check_progress, silent
@@ -32,16 +32,11 @@ from aleator.ensemble import (
     at_levels,
     ensemble_for,
     name_of,
-    part,
     parts,
     random_levels,
     uncertain_places,
 )
-from aleator.references._estimate import Estimate, estimate, group_count
-from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, a_statistic
-
-Estimates: TypeAlias = Any
-"""An `Estimate`, or a dict of them if the outputs are a dict."""
+from aleator.references._estimate import Estimate, RandomSample, estimate, group_count
 
 # Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
 _DIGITS = 30
@@ -49,72 +44,6 @@ _DIGITS = 30
 _MOST_BYTES = 2 * 2**30
 # Parts of a sample at most whose points are evaluated one by one.
 _MOST = 128
-
-
-@final
-class RandomSample(AbstractMeasured[Estimates]):
-    """Outputs of a function at random inputs: `sample.mean` prints as `0.65923 ± 0.00030`.
-
-    - `values`: of each output, shape (samples, *shape), in the structure that the function returns;
-    - `groups`: the number of independent groups of equal size, one after the other, from which standard errors are
-      computed (see `Estimate`): arbitrary for a plain Monte Carlo sample, the replicates of a quasi-random one;
-    - `seed`: of the random inputs; `seconds`: how long the evaluation took, compilation included, in the process that
-      finished it.
-
-    Every statistic has the structure of the outputs, an `Estimate` or a dict of them; `sample["y"]` selects one output
-    of a dict.
-    """
-
-    def __init__(self, values: Pytree, groups: int, seed: int, seconds: float):
-        self.values, self.groups, self.seed, self.seconds = values, groups, seed, seconds
-
-    def __getitem__(self, name: str) -> "RandomSample":
-        """One output by name, if the outputs are a dict."""
-        return RandomSample(part(self.values, name), self.groups, self.seed, self.seconds)
-
-    @property
-    def samples(self) -> int:
-        """How many inputs were drawn."""
-        return len(jax.tree.leaves(self.values)[0])
-
-    def estimate(self, statistic: AbstractStatistic | Function) -> Estimates:
-        """Any statistic of each output, or any function of a sample of shape (samples, *shape)."""
-        of_sample = statistic.of_sample if isinstance(statistic, AbstractStatistic) else statistic
-        return jax.tree.map(lambda values: estimate(of_sample, values, self.groups), self.values)
-
-    @override
-    def statistic(self, kind: AbstractStatistic) -> Estimates:
-        """An estimate of each output.
-
-        The standard error of a probability is 0, and meaningless, if all values of the sample meet the condition or
-        none does.
-        """
-        return self.estimate(a_statistic(kind))
-
-    def covariance(self, first: str, second: str) -> Estimate:
-        """The covariance of two outputs of equal shape, by their names."""
-        return self._of_both(Covariance(), first, second)
-
-    def correlation(self, first: str, second: str) -> Estimate:
-        """The correlation coefficient of two outputs of equal shape, by their names."""
-        return self._of_both(Correlation(), first, second)
-
-    def _of_both(self, statistic: AbstractStatistic, first: str, second: str) -> Estimate:
-        both = part(self.values, first), part(self.values, second)
-        if both[0].shape != both[1].shape:
-            raise ProblemError(
-                f"'{first}' and '{second}' must have one shape; received {both[0].shape[1:]} and {both[1].shape[1:]}."
-            )
-        return estimate(statistic.of_sample, np.stack(both, axis=-1), self.groups)
-
-    def __str__(self) -> str:
-        means, stds = self.mean, self.std
-        rows = jax.tree_util.tree_leaves_with_path(means)
-        names = [jax.tree_util.keystr(path, simple=True, separator=".") or "output" for path, _ in rows]
-        lines = [f"{self.samples} samples, standard errors from {self.groups} independent groups"]
-        for name, (_, mean), std in zip(names, rows, jax.tree.leaves(stds), strict=True):
-            lines.append(f"{name}: mean {mean}, std {std}")
-        return "\n".join(lines)
 
 
 def monte_carlo(
@@ -148,23 +77,15 @@ def monte_carlo(
     finite, naming the inputs there.
     """
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
-    check_progress("monte_carlo", progress)
-    check_executor("monte_carlo", executor)
     if samples < 4:
         raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
-    ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
-    refuse_large_sample("monte_carlo", samples, len(ensemble.places.germs))
-    levels = random_levels(np.random.default_rng(seed), samples, len(ensemble.places.germs))
-    by = by_executor("monte_carlo", executor, ensemble)
 
-    def sampled() -> RandomSample:
-        began = time.perf_counter()
-        so_far = parts_so_far()
-        values = evaluate_kept(ensemble, levels, batch=batch, progress=progress, by=by, so_far=so_far)
-        groups = group_count(len(jax.tree.leaves(values)[0]))
-        return RandomSample(values, groups, seed, time.perf_counter() - began)
+    def levels(variables: int) -> Float[np.ndarray, "samples variables"]:
+        refuse_large_sample("monte_carlo", samples, variables)
+        return random_levels(np.random.default_rng(seed), samples, variables)
 
-    return _journalled("monte_carlo", function, model, (samples, seed, traced, batch), sampled)
+    how = samples, seed, traced, batch
+    return _sample("monte_carlo", function, model, levels, how, None, executor=executor, progress=progress)
 
 
 def quasi_monte_carlo(
@@ -188,25 +109,49 @@ def quasi_monte_carlo(
     integrals of smooth functions.
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
-    check_progress("quasi_monte_carlo", progress)
-    check_executor("quasi_monte_carlo", executor)
-    ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
-    levels = scrambled_nets("quasi_monte_carlo", len(ensemble.places.germs), samples, replicates, seed)
-    by = by_executor("quasi_monte_carlo", executor, ensemble)
+
+    def levels(variables: int) -> Float[np.ndarray, "samples variables"]:
+        return scrambled_nets("quasi_monte_carlo", variables, samples, replicates, seed)
+
+    how = samples, replicates, seed, traced, batch
+    return _sample("quasi_monte_carlo", function, model, levels, how, replicates, executor=executor, progress=progress)
+
+
+def _sample(
+    verb: str,
+    function: Function,
+    model: Pytree,
+    levels_of: Callable[[int], Float[np.ndarray, "samples variables"]],
+    how: tuple[Any, ...],
+    replicates: int | None,
+    *,
+    executor: Executor | None,
+    progress: Progress,
+) -> RandomSample:
+    """A sample that the present journal has, or else a new one.
+
+    - `levels_of`: the probability levels by the number of germ variables; `how`: all arguments that they follow from,
+      the last of which are seed, `traced` and `batch`;
+    - `replicates`: the independent parts of the sample, or None: then a box may leave out some.
+    """
+    check_progress(verb, progress)
+    check_executor(verb, executor)
+    *_, seed, traced, batch = how
+    ensemble = ensemble_of(verb, function, model, traced=traced)
+    levels = levels_of(len(ensemble.places.germs))
+    by = by_executor(verb, executor, ensemble)
 
     def sampled() -> RandomSample:
         began = time.perf_counter()
-        values = evaluate(ensemble, levels, batch=batch, progress=progress, by=by, so_far=parts_so_far())
-        return RandomSample(values, replicates, seed, time.perf_counter() - began)
+        if replicates is None and isinstance(ensemble, BoxEnsemble):
+            progress("Monte Carlo", 0, len(levels))
+            values, _ = ensemble.kept(at_levels(ensemble.places.germs.values(), levels))
+            progress("Monte Carlo", len(levels), len(levels))
+        else:
+            values = evaluate(ensemble, levels, batch=batch, progress=progress, by=by, so_far=parts_so_far())
+        groups = replicates or group_count(len(jax.tree.leaves(values)[0]))
+        return RandomSample(values, groups, seed, time.perf_counter() - began)
 
-    how = (samples, replicates, seed, traced, batch)
-    return _journalled("quasi_monte_carlo", function, model, how, sampled)
-
-
-def _journalled(
-    verb: str, function: Function, model: Pytree, how: tuple[Any, ...], sampled: Callable[[], RandomSample]
-) -> RandomSample:
-    """A sample that the present journal has, or else a new one."""
     follows_from = function.follows_from if isinstance(function, AbstractBox) else function
     if follows_from is None:
         return sampled()
@@ -317,24 +262,6 @@ def _gathered(total: int, results: Iterable[tuple[Part, Pytree]], progress: Prog
     return outputs
 
 
-def evaluate_kept(
-    ensemble: AbstractEnsemble,
-    levels: Float[np.ndarray, "n variables"],
-    *,
-    batch: int,
-    progress: Progress,
-    by: Evaluate | None,
-    so_far: AbstractParts | None,
-) -> Pytree:
-    """The same without the samples that a box leaves out, for methods that can do without some."""
-    if not isinstance(ensemble, BoxEnsemble):
-        return evaluate(ensemble, levels, batch=batch, progress=progress, by=by, so_far=so_far)
-    progress("Monte Carlo", 0, len(levels))
-    values, _ = ensemble.kept(at_levels(ensemble.places.germs.values(), levels))
-    progress("Monte Carlo", len(levels), len(levels))
-    return values
-
-
 def _room(total: int, values: Pytree) -> Pytree:
     """Empty arrays for all points, of the shapes that the first batch has."""
     shapes = [(total, *leaf.shape[1:]) for leaf in jax.tree.leaves(values)]
@@ -346,3 +273,91 @@ def _room(total: int, values: Pytree) -> Pytree:
             "(every tenth instant, a maximum)."
         )
     return jax.tree.map(lambda leaf: np.empty((total, *leaf.shape[1:])), values)
+
+
+@final
+class SobolIndices:
+    """Sobol indices of each germ variable, which is an uncertain input unless inputs are correlated.
+
+    - `first`: by input, its own share of the variance; the rest up to 1 is due to interactions;
+    - `total`: by input, the share that would remain if all others were known.
+
+    Each is an `Estimate`, or a dict of them if the outputs are a dict.
+    """
+
+    def __init__(self, first: dict[str, Any], total: dict[str, Any]):
+        self.first, self.total = first, total
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name}: first {self.first[name]}, total {self.total[name]}" for name in self.first)
+
+
+def sobol_indices(
+    function: Function,
+    model: Pytree,
+    samples: int = 2**14,
+    *,
+    replicates: int = 16,
+    seed: int = 0,
+    traced: bool = True,
+    batch: int = 4096,
+    progress: Progress = silent,
+) -> SobolIndices:
+    """First-order and total Sobol indices of a function of uncertain inputs, with standard errors.
+
+    Two independent inputs are drawn `samples` times from scrambled Sobol nets; exchanging one germ variable at a time
+    takes `(variables + 2) * samples` evaluations of the function. The arguments and errors are those of
+    `quasi_monte_carlo`; an output that does not vary has no indices and raises `ProblemError`. Entries of an array that
+    do not vary (an initial condition) have indices 0. Source: Saltelli et al. (2010), Variance based sensitivity
+    analysis of model output, table 2 (b) for the first order and (f), by Jansen (1999), for the total.
+    """
+    check_whole("sobol_indices", samples=samples, replicates=replicates, seed=seed, batch=batch)
+    check_progress("sobol_indices", progress)
+    ensemble = ensemble_of("sobol_indices", function, model, traced=traced)
+    names = list(ensemble.places.germs)
+    refuse_large_sample("sobol_indices", (len(names) + 2) * samples, len(names))
+    both = scrambled_nets("sobol_indices", 2 * len(names), samples, replicates, seed)
+    levels = _exchanged(both[:, : len(names)], both[:, len(names) :])
+    values = evaluate(ensemble, levels.reshape(-1, len(names)), batch=batch, progress=progress)
+    designs = jax.tree.map(lambda leaf: leaf.reshape(samples, len(names) + 2, *leaf.shape[1:]), values)
+    for leaf in jax.tree.leaves(designs):
+        if not np.any(np.ptp(leaf[:, :2], axis=(0, 1))):
+            raise ProblemError("sobol_indices: an output does not vary, so that no input has a share of its variance.")
+    first = jax.tree.map(lambda leaf: estimate(_first, leaf, replicates), designs)
+    total = jax.tree.map(lambda leaf: estimate(_total, leaf, replicates), designs)
+    return SobolIndices(
+        {name: jax.tree.map(lambda estimate, i=i: _entry(estimate, i), first) for i, name in enumerate(names)},
+        {name: jax.tree.map(lambda estimate, i=i: _entry(estimate, i), total) for i, name in enumerate(names)},
+    )
+
+
+def _exchanged(
+    first: Float[np.ndarray, "samples variables"], second: Float[np.ndarray, "samples variables"]
+) -> Float[np.ndarray, "samples designs variables"]:
+    """Both inputs, then the first one with each of its variables in turn taken from the second."""
+    variables = first.shape[1]
+    levels = np.repeat(first[:, None], variables + 2, axis=1)
+    levels[:, 1] = second
+    for i in range(variables):
+        levels[:, i + 2, i] = second[:, i]
+    return levels
+
+
+def _first(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.ndarray, "variables *shape"]:
+    # The mean is subtracted, because it would only add noise.
+    values = values - values[:, :2].mean(axis=(0, 1))
+    first, second, mixed = values[:, :1], values[:, 1:2], values[:, 2:]
+    return (second * (mixed - first)).mean(axis=0) / _variance(values)[None]
+
+
+def _total(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.ndarray, "variables *shape"]:
+    return ((values[:, :1] - values[:, 2:]) ** 2).mean(axis=0) / 2 / _variance(values)[None]
+
+
+def _variance(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.ndarray, "*shape"]:
+    variance = values[:, :2].var(axis=(0, 1))
+    return np.where(variance > 0, variance, np.inf)
+
+
+def _entry(estimate: Estimate, i: int) -> Estimate:
+    return Estimate(estimate.value[i], estimate.standard_error[i], estimate.groups)

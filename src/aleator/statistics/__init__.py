@@ -23,7 +23,6 @@ from aleator.statistics._statistic import Preparation as Preparation
 from aleator.statistics._statistic import Std as Std
 from aleator.statistics._statistic import Variance as Variance
 from aleator.statistics._statistic import a_statistic as a_statistic
-from aleator.statistics._statistic import prepare as prepare
 from aleator.statistics._statistic import root as root
 from aleator.statistics._statistic import varies as varies
 from aleator.statistics._tails import AbstractTail as AbstractTail

@@ -4,7 +4,7 @@ Moments of an expansion in an orthonormal basis follow from its coefficients alo
 """
 
 import abc
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeAlias, final
 
 import equinox as eqx
@@ -110,13 +110,6 @@ class Constants(Module):
         if statistic.preparation is None:
             return ()
         return self.values[self.preparations.index(statistic.preparation)]
-
-
-def prepare(statistics: Iterable[AbstractStatistic], basis: AbstractBasis) -> Constants:
-    """The constants of all statistics; each preparation runs once."""
-    needed = (statistic.preparation for statistic in statistics)
-    preparations = tuple(dict.fromkeys(preparation for preparation in needed if preparation is not None))
-    return Constants(preparations, tuple(preparation(basis) for preparation in preparations))
 
 
 @final

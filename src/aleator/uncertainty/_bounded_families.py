@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._distribution import Canonical, Form
+from aleator.uncertainty._families import AbstractFamily, Standard
 from aleator.uncertainty._measure import AbstractDensityGerm
-from aleator.uncertainty._polynomials import AbstractGerm
 
 _REACH = 80.0  # the density is 1e-17 of its peak where half the square of the germ has grown by half of this
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
@@ -68,8 +68,17 @@ def _triangular_quantile(below: Any, above: Any, mode: Scalar) -> Any:
     return library.where(left, distance - 1, 1 - distance)
 
 
+def _triangular_transport(germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+    (mode,) = source
+    left = germ < 2 * mode - 1
+    side = jnp.where(left, mode, 1 - mode)
+    mass = (jnp.where(left, 1 + germ, 1 - germ) / 2) ** 2 / side
+    below, above = jnp.where(left, mass, 1 - mass), jnp.where(left, 1 - mass, mass)
+    return _triangular_quantile(below, above, *target)
+
+
 @final
-class Triangular(AbstractDistribution):
+class Triangular(AbstractFamily):
     """Triangular distribution: `Triangular(lower=1.0, mode=2.0, upper=4.0)`, where the mode may lie on a bound.
 
     A symmetric one may be written `Triangular(mean=2.0, half_width=1.0)`.
@@ -78,6 +87,13 @@ class Triangular(AbstractDistribution):
     follow from derivatives by it are seldom `ok`.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        TriangularGerm,
+        from_normal=lambda normal, mode: _triangular_quantile(special.ndtr(normal), special.ndtr(-normal), mode),
+        transport=_triangular_transport,
+        mean=lambda mode: (2 * mode - 1) / 3,
+        std=lambda mode: jnp.sqrt((1 - mode + mode**2) * 2 / 9),
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("lower", "mode", "upper"): Form(
             lambda lower, mode, upper: Canonical(
@@ -105,33 +121,6 @@ class Triangular(AbstractDistribution):
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         del parameters
         return 0 <= shape[0] <= 1
-
-    @override
-    def germ(self) -> AbstractGerm:
-        return TriangularGerm(*self.concrete_shape())
-
-    @override
-    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        (mode,) = source
-        left = germ < 2 * mode - 1
-        side = jnp.where(left, mode, 1 - mode)
-        mass = (jnp.where(left, 1 + germ, 1 - germ) / 2) ** 2 / side
-        below, above = jnp.where(left, mass, 1 - mass), jnp.where(left, 1 - mass, mass)
-        return _triangular_quantile(below, above, *target)
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return _triangular_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, (mode,) = self.canonical()
-        return location + scale * (2 * mode - 1) / 3
-
-    @override
-    def std(self) -> Scalar:
-        _, scale, (mode,) = self.canonical()
-        return scale * jnp.sqrt((1 - mode + mode**2) * 2 / 9)
 
 
 def _standardised(bound: Scalar, location: Scalar, scale: Scalar) -> Scalar:
@@ -175,14 +164,27 @@ def _truncated_normal(location: Scalar, scale: Scalar, lower: Scalar, upper: Sca
     return Canonical(location, scale, (_standardised(lower, location, scale), _standardised(upper, location, scale)))
 
 
+def _truncated_transport(germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+    low, high = source
+    mass = _mass(low, high)
+    return _truncated_quantile(_mass(low, germ) / mass, _mass(germ, high) / mass, *target)
+
+
 @final
-class TruncatedNormal(AbstractDistribution):
+class TruncatedNormal(AbstractFamily):
     """Normal distribution truncated to the interval from `lower` to `upper`; one of the two may be omitted.
 
     `location` and `scale` are the mean and the standard deviation of the *untruncated* parent; `mean()` and `std()` are
     those of the truncated distribution.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        TruncatedNormalGerm,
+        from_normal=lambda normal, *ends: _truncated_quantile(special.ndtr(normal), special.ndtr(-normal), *ends),
+        transport=_truncated_transport,
+        mean=lambda *ends: _truncated_moments(*ends)[0],
+        std=lambda *ends: _truncated_moments(*ends)[1],
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("location", "scale", "lower", "upper"): Form(
             _truncated_normal, frozenset({"location", "scale", "lower", "upper"})
@@ -208,30 +210,6 @@ class TruncatedNormal(AbstractDistribution):
         del parameters
         low, high = shape
         return low < high and low < 37 and high > -37
-
-    @override
-    def germ(self) -> AbstractGerm:
-        return TruncatedNormalGerm(*self.concrete_shape())
-
-    @override
-    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        low, high = source
-        mass = _mass(low, high)
-        return _truncated_quantile(_mass(low, germ) / mass, _mass(germ, high) / mass, *target)
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return _truncated_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, shape = self.canonical()
-        return location + scale * _truncated_moments(*shape)[0]
-
-    @override
-    def std(self) -> Scalar:
-        _, scale, shape = self.canonical()
-        return scale * _truncated_moments(*shape)[1]
 
     @override
     def support(self) -> tuple[Scalar, Scalar]:

@@ -11,14 +11,13 @@ import itertools
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, Scalar, in_library, numbers_to_arrays
+from aleator._core.arrays import Scalar, in_library, numbers_to_arrays
 from aleator._core.border import a_name, real, real_array, refusal
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
@@ -152,16 +151,14 @@ def _nataf(
 
 def _standard_values(distribution: AbstractDistribution) -> Float[Array, " n"]:
     """The distribution's standardised values (zero mean, unit standard deviation) at `_NORMALS`."""
-    numbers, rest = eqx.partition(numbers_to_arrays(distribution), eqx.is_array)
 
-    def standardised(numbers: Pytree) -> Float[Array, " n"]:
-        one = eqx.combine(numbers, rest)
-        shape = one.canonical().shape
-        values = jax.vmap(lambda normal: one.from_normal(normal, shape))(_NORMALS)
+    def standardised(shape: tuple[Array, ...]) -> Float[Array, " n"]:
+        values = jax.vmap(lambda normal: distribution.from_normal(normal, shape))(jnp.asarray(_NORMALS))
         values = values - _PROBABILITIES @ values
         return values / jnp.sqrt(_PROBABILITIES @ values**2)
 
-    return evaluate(standardised, numbers, use=Use.ONCE)
+    # Location and scale, which may be traced where the shape is not, do not matter.
+    return evaluate(standardised, numbers_to_arrays(distribution.canonical().shape), use=Use.ONCE)
 
 
 def _normal_correlation(wanted: float, first: Array, second: Array, *, names: tuple[str, str]) -> float:

@@ -14,7 +14,6 @@ from jax.scipy import special
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
 from aleator._core.border import real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
@@ -94,10 +93,6 @@ class SampleGerm(AbstractGerm):
         return float(self.values[0]), float(self.values[-1])
 
 
-def _linear(location: Scalar, scale: Scalar) -> Canonical:
-    return Canonical(location, scale)
-
-
 @final
 class Density(AbstractDistribution):
     """Any density: the number is `location + scale * xi`, and `xi` has the density `function` on (lower, upper).
@@ -115,7 +110,7 @@ class Density(AbstractDistribution):
 
     xi: DensityGerm = eqx.field(static=True)
 
-    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("location", "scale"): Form(_linear)}
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("location", "scale"): Form(Canonical)}
     REQUIRES: ClassVar[str] = "a finite location and a finite scale above 0"
 
     def __init__(
@@ -196,7 +191,7 @@ class Sample(AbstractDistribution):
 
     xi: SampleGerm = eqx.field(static=True)
 
-    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("location", "scale"): Form(_linear)}
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("location", "scale"): Form(Canonical)}
     REQUIRES: ClassVar[str] = "a finite location and a finite scale above 0"
 
     def __init__(self, data: Any, *, location: Any = 0.0, scale: Any = 1.0, shared_name: str | None = None):

@@ -1,39 +1,87 @@
-"""The families of distributions (dissertation, table 4.1): Uniform, Normal, Beta and Gamma.
-
-Their quantiles are differentiable in the shape parameters, by the implicit function theorem. Differentiating `F(x; s) =
-u` at a fixed level `u` gives `dx/ds = -(dF/ds) / f` with the density `f`: exact, and independent of how the root was
-found. This serves shape parameters that are decisions: the germ keeps the initial shape, so that the collocation matrix
-stays constant, and its values are transported to the distribution of the current shape. The rules are themselves
-differentiable, so that second derivatives are exact too. A level is given as both the probability below and the
-probability above, so that each tail keeps its accuracy.
-"""
+"""The families of distributions (dissertation, table 4.1): Uniform, Normal, Beta and Gamma."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+from aleator.uncertainty._quantiles import beta_anchor, beta_quantile, gamma_anchor, gamma_quantile
 
-_BISECTIONS = 70
+
+class Standard(NamedTuple):
+    """The germ of a family as functions of its shape parameters.
+
+    - `germ`: its distribution, of known shapes; `from_normal(normal, *shape)`: see `AbstractDistribution`;
+    - `transport(germ, source, target)`, `anchor(germ, *shape)`: likewise; None for families without a shape;
+    - `mean`, `std`: its moments; None to take them from its polynomials.
+    """
+
+    germ: AbstractGerm | Callable[..., AbstractGerm]
+    from_normal: Callable[..., Array]
+    transport: Callable[..., Array] | None = None
+    anchor: Callable[..., Array] | None = None
+    mean: Callable[..., Scalar] | None = None
+    std: Callable[..., Scalar] | None = None
+
+
+NORMAL = Standard(HermiteGerm(), lambda normal: normal)
+
+
+class AbstractFamily(AbstractDistribution):
+    """A distribution whose germ is described by data."""
+
+    STANDARD: ClassVar[Standard]
+
+    @override
+    def germ(self) -> AbstractGerm:
+        germ = self.STANDARD.germ
+        return germ if isinstance(germ, AbstractGerm) else germ(*self.concrete_shape())
+
+    @override
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        return self.STANDARD.from_normal(normal, *shape)
+
+    @override
+    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+        return germ if self.STANDARD.transport is None else self.STANDARD.transport(germ, source, target)
+
+    @override
+    def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        anchor = self.STANDARD.anchor
+        return super().anchor(germ, shape) if anchor is None else anchor(germ, *shape)
+
+    @override
+    def mean(self) -> Scalar:
+        if self.STANDARD.mean is None:
+            return super().mean()
+        location, scale, shape = self.canonical()
+        return location + scale * self.STANDARD.mean(*shape)
+
+    @override
+    def std(self) -> Scalar:
+        if self.STANDARD.std is None:
+            return super().std()
+        _, scale, shape = self.canonical()
+        return scale * self.STANDARD.std(*shape)
 
 
 @final
-class Uniform(AbstractDistribution):
+class Uniform(AbstractFamily):
     """Uniform distribution: `Uniform(376.0, half_width=47.0)`, `Uniform(376.0, std=27.1)`, `Uniform.bounds(329, 423)`.
 
     Its germ is uniform on [-1, 1] with Legendre polynomials; the half-width is the coefficient `theta^1` of equation
     (114). The standard deviation is the half-width divided by the square root of 3.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(LegendreGerm(), lambda normal: special.erf(normal / np.sqrt(2.0)))
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("mean", "half_width"): Form(lambda mean, half_width: Canonical(mean, half_width)),
         ("mean", "std"): Form(lambda mean, std: Canonical(mean, std * np.sqrt(3.0))),
@@ -64,33 +112,16 @@ class Uniform(AbstractDistribution):
         """Uniform between two bounds."""
         return cls(lower=lower, upper=upper)
 
-    @override
-    def germ(self) -> AbstractGerm:
-        return LegendreGerm()
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        del shape
-        return special.erf(normal / np.sqrt(2.0))
-
 
 @final
-class Normal(AbstractDistribution):
+class Normal(AbstractFamily):
     """Normal distribution with `mean` and standard deviation `std`: standard normal germ, Hermite polynomials."""
 
+    STANDARD: ClassVar[Standard] = NORMAL
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("mean", "std"): Form(lambda mean, std: Canonical(mean, std))}
 
     def __init__(self, mean: Any = None, std: Any = None, *, shared_name: str | None = None):
         self.set_parameters({"mean": mean, "std": std}, shared_name)
-
-    @override
-    def germ(self) -> AbstractGerm:
-        return HermiteGerm()
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        del shape
-        return normal
 
 
 def _beta_from_shape(alpha: Scalar, beta: Scalar, lower: Scalar, upper: Scalar) -> Canonical:
@@ -103,13 +134,27 @@ def _beta_from_moments(mean: Scalar, std: Scalar, lower: Scalar, upper: Scalar) 
     return _beta_from_shape(centre * total, (1 - centre) * total, lower, upper)
 
 
+def _beta_transport(germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+    alpha, beta = source
+    below, above = special.betainc(alpha, beta, (1 + germ) / 2), special.betainc(beta, alpha, (1 - germ) / 2)
+    return 2 * beta_quantile(below, above, *target) - 1
+
+
 @final
-class Beta(AbstractDistribution):
+class Beta(AbstractFamily):
     """Beta distribution on [lower, upper], default [0, 1].
 
     `Beta(alpha=2.0, beta=5.0)` or, by its moments, `Beta(mean=0.3, std=0.1)`; Jacobi polynomials.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        JacobiGerm,
+        from_normal=lambda normal, *shape: 2 * beta_quantile(special.ndtr(normal), special.ndtr(-normal), *shape) - 1,
+        transport=_beta_transport,
+        anchor=lambda germ, *shape: 2 * beta_anchor((1 + germ) / 2, *shape) - 1,
+        mean=lambda alpha, beta: (alpha - beta) / (alpha + beta),
+        std=lambda alpha, beta: 2 * jnp.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta),
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("alpha", "beta", "lower", "upper"): Form(_beta_from_shape, frozenset({"alpha", "beta"})),
         ("mean", "std", "lower", "upper"): Form(_beta_from_moments, frozenset({"mean", "std", "lower", "upper"})),
@@ -129,46 +174,30 @@ class Beta(AbstractDistribution):
         parameters = {"alpha": alpha, "beta": beta, "mean": mean, "std": std, "lower": lower, "upper": upper}
         self.set_parameters(parameters, shared_name)
 
-    @override
-    def germ(self) -> AbstractGerm:
-        return JacobiGerm(*self.concrete_shape())
-
-    @override
-    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        alpha, beta = source
-        below, above = special.betainc(alpha, beta, (1 + germ) / 2), special.betainc(beta, alpha, (1 - germ) / 2)
-        return 2 * beta_quantile(below, above, *target) - 1
-
-    @override
-    def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return 2 * beta_anchor((1 + germ) / 2, *shape) - 1
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return 2 * beta_quantile(special.ndtr(normal), special.ndtr(-normal), *shape) - 1
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, (alpha, beta) = self.canonical()
-        return location + scale * (alpha - beta) / (alpha + beta)
-
-    @override
-    def std(self) -> Scalar:
-        _, scale, (alpha, beta) = self.canonical()
-        return 2 * scale * jnp.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta)
-
 
 def _gamma_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
     return Canonical(lower, std**2 / (mean - lower), (((mean - lower) / std) ** 2,))
 
 
+def _gamma_transport(germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+    return gamma_quantile(special.gammainc(source[0], germ), special.gammaincc(source[0], germ), *target)
+
+
 @final
-class Gamma(AbstractDistribution):
+class Gamma(AbstractFamily):
     """Gamma distribution above `lower`, default 0.
 
     `Gamma(shape=4.0, scale=0.5)` or, by its moments, `Gamma(mean=2.0, std=1.0)`; Laguerre polynomials.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        LaguerreGerm,
+        from_normal=lambda normal, shape: gamma_quantile(special.ndtr(normal), special.ndtr(-normal), shape),
+        transport=_gamma_transport,
+        anchor=gamma_anchor,
+        mean=lambda shape: shape,
+        std=jnp.sqrt,
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("shape", "scale", "lower"): Form(
             lambda shape, scale, lower: Canonical(lower, scale, (shape,)), frozenset({"shape"})
@@ -187,179 +216,3 @@ class Gamma(AbstractDistribution):
         shared_name: str | None = None,
     ):
         self.set_parameters({"shape": shape, "scale": scale, "mean": mean, "std": std, "lower": lower}, shared_name)
-
-    @override
-    def germ(self) -> AbstractGerm:
-        return LaguerreGerm(*self.concrete_shape())
-
-    @override
-    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        return gamma_quantile(special.gammainc(source[0], germ), special.gammaincc(source[0], germ), *target)
-
-    @override
-    def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return gamma_anchor(germ, *shape)
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return gamma_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
-
-    @override
-    def mean(self) -> Scalar:
-        lower, scale, (shape,) = self.canonical()
-        return lower + scale * shape
-
-    @override
-    def std(self) -> Scalar:
-        _, scale, (shape,) = self.canonical()
-        return scale * jnp.sqrt(shape)
-
-
-def tanh_sinh(nodes: int = 111, first: float = -6.0, last: float = 3.4) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1) for integrands with singular end points (Takahasi and Mori, 1974).
-
-    They start at 1e-275, so that no mass is lost where a small shape parameter makes the density almost non-integrable
-    at 0, and end one rounding error before 1, where the integrands are smooth.
-    """
-    t = np.linspace(first, last, nodes)
-    u = np.pi * np.sinh(t)
-    return 1 / (1 + np.exp(-u)), (t[1] - t[0]) * np.pi * np.cosh(t) / (4 * np.cosh(u / 2) ** 2)
-
-
-def _exp_exp(nodes: int = 111, first: float = -3.8, last: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, inf) for integrands that decay exponentially (Takahasi and Mori, 1974)."""
-    t = np.linspace(first, last, nodes)
-    x = np.exp(t - np.exp(-t))
-    return x, (t[1] - t[0]) * x * (1 + np.exp(-t))
-
-
-_NODES, _WEIGHTS = tanh_sinh()
-_TAIL_NODES, _TAIL_WEIGHTS = _exp_exp()
-
-
-def bisect(is_below: Callable[[Array], Bool[Array, ""]], like: Array) -> Array:
-    """The point of (0, 1) where `is_below` changes from true to false."""
-
-    def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bracket
-        middle = (low + high) / 2
-        below = is_below(middle)
-        return jnp.where(below, middle, low), jnp.where(below, high, middle)
-
-    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (jnp.zeros_like(like), jnp.ones_like(like)))
-    return (low + high) / 2
-
-
-def _differentiable(
-    solve: Callable[..., Array],
-    density: Callable[..., Array],
-    by_shape: Callable[..., tuple[Array, ...]],
-) -> tuple[Callable[..., Array], Callable[..., Array]]:
-    """The quantile `(below, above, *shape)` and the anchor `(x, *shape)` of a distribution, with implicit derivatives.
-
-    The anchor is the identity in `x`, with the derivative of a value that moves at equal probability as the shape
-    varies. It serves germ values whose shape is differentiated but not decided, and costs nothing where no derivative
-    is taken.
-    """
-
-    @jax.custom_jvp
-    def quantile(below: Array, above: Array, *shape: Array) -> Array:
-        return solve(below, above, *shape)
-
-    @quantile.defjvp
-    def _quantile_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-        below, above, *shape = primals
-        below_dot, above_dot, *shape_dot = tangents
-        x = quantile(below, above, *shape)
-        level_dot = jnp.where(below < above, below_dot, -above_dot)
-        inside = (below > 0) & (above > 0)
-        # The ends of the support do not move with the shape.
-        slope = (level_dot - _along(x, shape, shape_dot)) / jnp.where(inside, density(x, *shape), 1.0)
-        return x, jnp.where(inside, slope, 0.0)
-
-    @jax.custom_jvp
-    def anchor(x: Array, *shape: Array) -> Array:
-        del shape
-        return jnp.asarray(x)
-
-    @anchor.defjvp
-    def _anchor_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-        source, *shape = primals
-        source_dot, *shape_dot = tangents
-        x = anchor(source, *shape)
-        level_dot = density(source, *jax.lax.stop_gradient(shape)) * source_dot
-        return x, (level_dot - _along(x, shape, shape_dot)) / density(x, *shape)
-
-    def _along(x: Array, shape: list, shape_dot: list) -> Array:
-        return sum((by * dot for by, dot in zip(by_shape(x, *shape), shape_dot, strict=True)), jnp.zeros_like(x))
-
-    return quantile, anchor
-
-
-@jax.jit  # compiled once, even when called eagerly
-def _beta_root(below: Array, above: Array, alpha: Scalar, beta: Scalar) -> Array:
-    left = below < above
-    level = jnp.where(left, below, above)
-    first, second = jnp.where(left, alpha, beta), jnp.where(left, beta, alpha)
-    distance = bisect(lambda x: special.betainc(first, second, x) < level, level)
-    return jnp.where(left, distance, 1 - distance)
-
-
-def _beta_log_density(x: Array, complement: Array, alpha: Scalar, beta: Scalar) -> Array:
-    return jnp.asarray((alpha - 1) * jnp.log(x) + (beta - 1) * jnp.log(complement) - special.betaln(alpha, beta))
-
-
-def _beta_density(x: Array, alpha: Scalar, beta: Scalar) -> Array:
-    return jnp.exp(_beta_log_density(x, 1 - x, alpha, beta))
-
-
-def _beta_by_shape(x: Array, alpha: Scalar, beta: Scalar) -> tuple[Array, Array]:
-    """Derivatives of the incomplete beta function by its shapes, by quadrature on the side of `x` with less mass.
-
-    `dF/d alpha = integral over (0, x) of (ln t - digamma(alpha) + digamma(alpha + beta)) f(t)`, and the same integral
-    over (x, 1) is its negative, since the two add up to the derivative of 1.
-    """
-    left = x < alpha / (alpha + beta)
-    length = jnp.where(left, x, 1 - x)
-    t, complement = (
-        jnp.where(left, length * _NODES, 1 - length * _NODES),
-        jnp.where(left, 1 - length * _NODES, length * _NODES),
-    )
-    mass = jnp.exp(_beta_log_density(t, complement, alpha, beta)) * _WEIGHTS * jnp.where(left, length, -length)
-    both = special.digamma(alpha + beta)
-    by_alpha = jnp.sum((jnp.log(t) - special.digamma(alpha) + both) * mass)
-    by_beta = jnp.sum((jnp.log(complement) - special.digamma(beta) + both) * mass)
-    return by_alpha, by_beta
-
-
-@jax.jit
-def _gamma_root(below: Array, above: Array, shape: Scalar) -> Array:
-    left = below < above
-
-    def is_below(y: Array) -> Bool[Array, ""]:
-        x = y / (1 - y)  # maps the half-line to (0, 1)
-        return jnp.where(left, special.gammainc(shape, x) < below, special.gammaincc(shape, x) > above)
-
-    fraction = bisect(is_below, below)
-    return fraction / (1 - fraction)
-
-
-def _gamma_density(x: Array, shape: Scalar) -> Array:
-    return jnp.exp((shape - 1) * jnp.log(x) - x - special.gammaln(shape))
-
-
-def _gamma_by_shape(x: Array, shape: Scalar) -> tuple[Array]:
-    """Derivative of the incomplete gamma function by its shape, by quadrature on the side of `x` with less mass.
-
-    `dF/d shape = integral over (0, x) of (ln t - digamma(shape)) f(t)`; the integral over (x, inf) is its negative.
-    """
-    left = x < shape
-    width = 1 + jnp.sqrt(shape)  # of the density's bulk, beyond which no mass remains
-    length = jnp.minimum(x, 12 * width)
-    t = jnp.where(left, x - length + length * _NODES, x + width * _TAIL_NODES)
-    weights = jnp.where(left, length * _WEIGHTS, -width * _TAIL_WEIGHTS)
-    return (jnp.sum((jnp.log(t) - special.digamma(shape)) * _gamma_density(t, shape) * weights),)
-
-
-beta_quantile, beta_anchor = _differentiable(_beta_root, _beta_density, _beta_by_shape)
-gamma_quantile, gamma_anchor = _differentiable(_gamma_root, _gamma_density, _gamma_by_shape)

@@ -12,10 +12,11 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
-from aleator.uncertainty._families import bisect
+from aleator.uncertainty._distribution import Canonical, Form
+from aleator.uncertainty._families import AbstractFamily, Standard
 from aleator.uncertainty._measure import AbstractDensityGerm
-from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, LaguerreGerm
+from aleator.uncertainty._polynomials import HermiteGerm, LaguerreGerm
+from aleator.uncertainty._quantiles import bisect
 
 _GUMBEL_STD = np.pi / np.sqrt(6)
 
@@ -91,13 +92,14 @@ def _weibull_inverse_shape_jvp(primals: tuple, tangents: tuple) -> tuple[Array, 
 
 
 @final
-class Exponential(AbstractDistribution):
+class Exponential(AbstractFamily):
     """Exponential distribution above `lower`, default 0: `Exponential(mean=2.0)` or `Exponential(rate=0.5)`.
 
     `mean` is that of the number itself, `lower` included; `rate` is the reciprocal of the standard deviation. Laguerre
     polynomials.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(LaguerreGerm(1.0), lambda normal: -special.log_ndtr(-normal))
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("mean", "lower"): Form(lambda mean, lower: Canonical(lower, mean - lower)),
         ("rate", "lower"): Form(lambda rate, lower: Canonical(lower, 1 / rate)),
@@ -107,15 +109,6 @@ class Exponential(AbstractDistribution):
     def __init__(self, *, mean: Any = None, rate: Any = None, lower: Any = 0.0, shared_name: str | None = None):
         self.set_parameters({"mean": mean, "rate": rate, "lower": lower}, shared_name)
 
-    @override
-    def germ(self) -> AbstractGerm:
-        return LaguerreGerm(1.0)
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        del shape
-        return -special.log_ndtr(-normal)
-
 
 def _lognormal_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
     xp, mean, std, lower = in_library(mean, std, lower)
@@ -123,8 +116,13 @@ def _lognormal_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonic
     return Canonical(lower, (mean - lower) * xp.exp(-variance / 2), (xp.sqrt(variance),))
 
 
+def _lognormal_std(log_std: Scalar) -> Scalar:
+    xp, log_std = in_library(log_std)
+    return xp.exp(log_std**2 / 2) * xp.sqrt(xp.expm1(log_std**2))
+
+
 @final
-class LogNormal(AbstractDistribution):
+class LogNormal(AbstractFamily):
     """Lognormal distribution above `lower`, default 0: `lower + exp(log_mean + log_std * xi)`, `xi` standard normal.
 
     Written `LogNormal(mean=2.0, std=0.5)`, by the moments of the number itself; `LogNormal(median=2.0, log_std=0.2)`,
@@ -133,6 +131,13 @@ class LogNormal(AbstractDistribution):
     and Ullmann, 2012).
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        HermiteGerm(),
+        # The number's excess over `lower`, as a multiple of its median.
+        from_normal=lambda normal, log_std: jnp.exp(log_std * normal),
+        mean=lambda log_std: in_library(log_std)[0].exp(log_std**2 / 2),
+        std=_lognormal_std,
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("mean", "std", "lower"): Form(_lognormal_from_moments, frozenset({"mean", "std", "lower"})),
         ("median", "log_std", "lower"): Form(
@@ -174,24 +179,6 @@ class LogNormal(AbstractDistribution):
         return self.value_at_normal(germ)
 
     @override
-    def germ(self) -> AbstractGerm:
-        return HermiteGerm()
-
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """The number's excess over `lower`, as a multiple of its median; see `AbstractDistribution.from_normal`."""
-        return jnp.exp(shape[0] * normal)
-
-    @override
-    def mean(self) -> Scalar:
-        xp, (lower, median, (log_std,)) = in_library(self.canonical())
-        return lower + median * xp.exp(log_std**2 / 2)
-
-    @override
-    def std(self) -> Scalar:
-        xp, (_, median, (log_std,)) = in_library(self.canonical())
-        return median * xp.exp(log_std**2 / 2) * xp.sqrt(xp.expm1(log_std**2))
-
-    @override
     def support(self) -> tuple[Scalar, Scalar]:
         return self.parameters["lower"], np.inf
 
@@ -203,13 +190,25 @@ def _weibull_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical
     return Canonical(lower, (mean - lower) / xp.exp(logarithm(1 + inverse)), (1 / inverse,))
 
 
+def _weibull_std(shape: Scalar) -> Scalar:
+    first, second = special.gammaln(1 + 1 / shape), special.gammaln(1 + 2 / shape)
+    return jnp.exp(first) * jnp.sqrt(jnp.expm1(second - 2 * first))
+
+
 @final
-class Weibull(AbstractDistribution):
+class Weibull(AbstractFamily):
     """Weibull distribution above `lower`, default 0: `F(x) = 1 - exp(-((x - lower) / scale)^shape)`.
 
     `Weibull(scale=2.0, shape=1.5)` or, by the moments of the number itself, `Weibull(mean=2.0, std=0.5)`.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        WeibullGerm,
+        from_normal=lambda normal, shape: (-special.log_ndtr(-normal)) ** (1 / shape),
+        transport=lambda germ, source, target: germ ** (source[0] / target[0]),
+        mean=lambda shape: jnp.exp(special.gammaln(1 + 1 / shape)),
+        std=_weibull_std,
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("scale", "shape", "lower"): Form(
             lambda scale, shape, lower: Canonical(lower, scale, (shape,)), frozenset({"shape"})
@@ -232,40 +231,23 @@ class Weibull(AbstractDistribution):
     ):
         self.set_parameters({"scale": scale, "shape": shape, "mean": mean, "std": std, "lower": lower}, shared_name)
 
-    @override
-    def germ(self) -> AbstractGerm:
-        return WeibullGerm(*self.concrete_shape())
-
-    @override
-    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        return germ ** (source[0] / target[0])
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        return (-special.log_ndtr(-normal)) ** (1 / shape[0])
-
-    @override
-    def mean(self) -> Scalar:
-        lower, scale, (shape,) = self.canonical()
-        return lower + scale * jnp.exp(special.gammaln(1 + 1 / shape))
-
-    @override
-    def std(self) -> Scalar:
-        _, scale, (shape,) = self.canonical()
-        first, second = special.gammaln(1 + 1 / shape), special.gammaln(1 + 2 / shape)
-        return scale * jnp.exp(first) * jnp.sqrt(jnp.expm1(second - 2 * first))
-
 
 @final
-class Gumbel(AbstractDistribution):
+class Gumbel(AbstractFamily):
     """Gumbel distribution of maxima: `F(x) = exp(-exp(-(x - location) / scale))`.
 
     `Gumbel(location=1.0, scale=0.2)`, where `location` is the mode, or `Gumbel(mean=1.1, std=0.25)`. The distribution
     of minima is that of the negative of such a number.
     """
 
+    STANDARD: ClassVar[Standard] = Standard(
+        GumbelGerm(),
+        from_normal=lambda normal: -jnp.log(-special.log_ndtr(normal)),
+        mean=lambda: np.euler_gamma,
+        std=lambda: _GUMBEL_STD,
+    )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
-        ("location", "scale"): Form(lambda location, scale: Canonical(location, scale)),
+        ("location", "scale"): Form(Canonical),
         ("mean", "std"): Form(
             lambda mean, std: Canonical(mean - np.euler_gamma * std / _GUMBEL_STD, std / _GUMBEL_STD)
         ),
@@ -282,21 +264,3 @@ class Gumbel(AbstractDistribution):
         shared_name: str | None = None,
     ):
         self.set_parameters({"location": location, "scale": scale, "mean": mean, "std": std}, shared_name)
-
-    @override
-    def germ(self) -> AbstractGerm:
-        return GumbelGerm()
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        del shape
-        return -jnp.log(-special.log_ndtr(normal))
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, _ = self.canonical()
-        return location + np.euler_gamma * scale
-
-    @override
-    def std(self) -> Scalar:
-        return _GUMBEL_STD * self.canonical().scale

@@ -6,15 +6,14 @@ from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
-from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
+from aleator.uncertainty._distribution import Canonical, Form
+from aleator.uncertainty._families import NORMAL, AbstractFamily, Standard
 
 
 class _Zone(NamedTuple):
@@ -51,7 +50,7 @@ def _canonical(**parameters: Any) -> Canonical:
 
 
 @final
-class Toleranced(AbstractDistribution):
+class Toleranced(AbstractFamily):
     """A normal distribution in a tolerance zone: `Toleranced(27.645, plus=0.05, minus=0.02, cp=1.33)`.
 
     The zone extends from `nominal - minus` to `nominal + plus`; give `tolerance` where both are equal. Its width is `6
@@ -64,6 +63,7 @@ class Toleranced(AbstractDistribution):
 
     towards: Literal["upper", "lower"] = eqx.field(static=True)
 
+    STANDARD: ClassVar[Standard] = NORMAL
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         zone + capability: Form(_canonical) for zone, capability in itertools.product(_ZONES, _CAPABILITIES)
     }
@@ -119,15 +119,6 @@ class Toleranced(AbstractDistribution):
         capability = parameters.get("sigmas", parameters.get("cp", 0.0))
         is_capable = 0 < capability < np.inf and parameters.get("cpk", -np.inf) <= capability
         return is_capable and float(_zone(parameters).half_width) >= 0
-
-    @override
-    def germ(self) -> AbstractGerm:
-        return HermiteGerm()
-
-    @override
-    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        del shape
-        return normal
 
 
 _NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?"
