@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from aleator.nlp import Searched
-from aleator.reporting._blocks import Drawing
 from aleator.reporting._numbers import count, number, residual, unit_of_objective
+from aleator.reporting._page import Drawing
 from aleator.reporting._style import (
     ALARM,
     DASHES,
