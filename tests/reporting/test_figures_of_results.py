@@ -2,6 +2,7 @@
 
 import html
 import re
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -253,3 +254,13 @@ def test_the_repr_of_a_result_is_one_line(name: str):
     (line,) = repr(result).splitlines()
     assert line.startswith(f"<{type(result).__name__}")
     assert len(line) < 300
+
+
+def test_a_figure_of_what_is_not_there_is_refused():
+    portfolio = replace(shown.portfolio(), searched=None)
+    with pytest.raises(al.ProblemError, match="expected a search"):
+        portfolio.plot.search()
+    uncounted = replace(given.evidence(), broken={}), replace(shown.evidence_of_all(), evidence=(None, None))
+    for one in uncounted:
+        with pytest.raises(al.ProblemError, match="expected a limit that single systems can break"):
+            one.plot.violations()

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
-from aleator._core.border import a_name, positive
+from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
@@ -97,17 +97,8 @@ def _named(
     given: Result | Mapping[str, Result] | None, kinds: type[Result] | tuple[type[Result], ...], name: str = "design"
 ) -> dict[str, Result]:
     """One or several results by name; anything else is refused."""
-    if given is None:
-        return {}
-    if isinstance(given, kinds):
-        return {name: given}
-    expected = " or ".join(one.__name__ for one in (kinds if isinstance(kinds, tuple) else (kinds,)))
-    if not isinstance(given, Mapping):
-        raise ProblemError(f"report: expected a {expected} or several by name; received {type(given).__name__}.")
-    for key, one in given.items():
-        if not isinstance(one, kinds):
-            raise ProblemError(f"report: expected a {expected} as '{key}'; received {type(one).__name__}.")
-    return cast("dict[str, Result]", {str(key): one for key, one in given.items()})
+    every = {} if given is None else given if isinstance(given, Mapping) else {name: given}
+    return {str(key): one_of(f"report: '{key}'", one, kinds) for key, one in every.items()}
 
 
 def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:

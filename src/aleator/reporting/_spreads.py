@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import count, given, number, seconds, share_text
 from aleator.reporting._style import (
     ALARM,
@@ -80,7 +81,12 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
 def shares_figure(
     places: Sequence[str], shares: Mapping[str, Sequence[Share | None]], *, x: str = "", y: str
 ) -> "Figure":
-    """How many systems, in percent, break each limit at each place, with their intervals; nothing where it is None."""
+    """How many systems, in percent, break each limit at each place, with their intervals; nothing where it is None.
+
+    Raises `ProblemError` where none is counted.
+    """
+    if not places or not shares:
+        raise ProblemError("plot.violations: expected a limit that single systems can break; received none.")
     figure = blank(plain(x), label(y, "%"), height=380)
     for name, look in looks(shares).items():
         known = [(plain(place), one) for place, one in zip(places, shares[name], strict=True) if one is not None]

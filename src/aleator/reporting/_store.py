@@ -235,16 +235,11 @@ def evidence_document(evidence: Evidence) -> dict[str, Any]:
 def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
     """A constraint at its worst instant; histories are in the netCDF file."""
     return {
-        "name": one.name,
-        "text": one.text,
+        **{name: getattr(one, name) for name in ("name", "text", "lower", "upper", "violation", "shadow_price")},
         "unit": unit,
-        "lower": one.lower,
-        "upper": one.upper,
         "worst_value": one.worst,
         "worst_time_s": one.worst_time,
-        "violation": one.violation,
         "active": bool(np.any(one.active)),
-        "shadow_price": one.shadow_price,
     }
 
 

@@ -249,8 +249,6 @@ class SolutionPlots(AbstractPlots[Solution]):
     def search(self) -> "Figure":
         """What a search without derivatives evaluated, or the local solver where there was none."""
         searched = self._result.effort.searched or self._result.effort.visited
-        if searched is None or not searched.evaluations:
-            raise ProblemError("plot.search: expected a solve that evaluated designs; received one without a history.")
         return search_figure(searched, unit_of_objective(self._result.problem))
 
     def _active(self) -> list[str]:

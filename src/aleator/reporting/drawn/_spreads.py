@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 # Bins of a histogram at most.
 _BINS = 200
-_NO_LIMIT = "expected a limit that single systems can break; received evidence that counts none."
 _NO_NUMBER = "expected a functional that is one number of each system, such as al.rms('x'); received none."
 
 
@@ -96,8 +95,6 @@ class EvidencePlots(AbstractPlots[Evidence]):
 
     def violations(self) -> "Figure":
         """How many systems break each limit, with 95 % confidence intervals."""
-        if not self._result.violations:
-            raise ProblemError(f"plot.violations: {_NO_LIMIT}")
         shares = dict(self._result.violations)
         if len(shares) > 1:
             shares["any of them"] = self._result.joint
@@ -133,8 +130,6 @@ class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
     def violations(self) -> "Figure":
         """How many systems of each design break each limit, with 95 % confidence intervals."""
         every, names = self._result.evidence, _counted(self._result)
-        if not names:
-            raise ProblemError(f"plot.violations: {_NO_LIMIT}")
         shares = {name: [one.violations.get(name) if one else None for one in every] for name in names}
         return shares_figure(self._result.places, shares, x="Design", y="Systems that break the limit")
 

@@ -271,8 +271,6 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
 
     def search(self) -> "Figure":
         """What the global search evaluated."""
-        if self._result.searched is None:
-            raise ProblemError("plot.search: expected a portfolio with a global search; received one without.")
         return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
 
 
@@ -282,8 +280,6 @@ class SearchedPlots(AbstractPlots[Searched]):
 
     def search(self) -> "Figure":
         """The objective of every point evaluated, in order, and the best so far."""
-        if not self._result.evaluations:
-            raise ProblemError("plot.search: expected a search that evaluated designs; received one without any.")
         return search_figure(self._result)
 
 
