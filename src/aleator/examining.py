@@ -1,6 +1,6 @@
 """`examine`: how a problem looks to a solver at one design: its slopes, its scales, and whether it is smooth there."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from aleator._core.border import refusal
 from aleator._core.errors import SimulationError
 from aleator._core.leaves import Printed
-from aleator.design import Expression, Problem, statistics_in
+from aleator.design import Problem, statistics_in
 from aleator.nlp import Searched, Slopes, lost_variables, slopes_at
 from aleator.solution import Solution
 from aleator.statistics import AbstractTail
@@ -117,28 +117,21 @@ def examine(subject: Problem | Solution) -> Examination:
     problem = subject.problem if isinstance(subject, Solution) else subject
     transcribed = transcribe(problem, DEFAULT)
     point = transcribed.program.start if solution is None else np.asarray(solution.vector)
+    rows, decisions, blocks = _rows(transcribed), tuple(transcribed.places.entry_names()), _blocks(transcribed)
     _refuse_unknown(transcribed, point)
     slopes = slopes_at(transcribed.program, point)
-    return _told(transcribed, point, slopes, solution)
-
-
-def _told(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], slopes: Slopes, solution: Solution | None
-) -> Examination:
-    rows, problem = _rows(transcribed), transcribed.problem
-    expressions = [problem.objective, *(one.expression for one in problem.constraints)]
-    decisions = tuple(transcribed.places.entry_names())
     effects = _effects(transcribed, point, slopes)
-    hidden = np.array([slopes.endless[own].any(axis=0) for own in _blocks(transcribed)])
+    hidden = np.array([slopes.endless[own].any(axis=0) for own in blocks])
+    named = tuple(zip(rows, blocks, strict=True))
     told = {
-        name: tuple(_pairs(transcribed, rows, decisions, slopes, getattr(slopes, name)))
+        name: tuple(_pairs(named, decisions, slopes, getattr(slopes, name)))
         for name in ("kinks", "jumps", "wrong", "endless")
     }
     told["wrong"] = told["wrong"] or tuple(_lost(transcribed, point, rows[0], decisions))
     return Examination(
         rows=rows,
         decisions=decisions,
-        tails=tuple(row for row, one in zip(rows, expressions, strict=True) if _has_tail(one)),
+        tails=tuple(row for row, has_tail in zip(rows, _tails(transcribed.problem), strict=True) if has_tail),
         effects=effects,
         **told,
         unfit=(*_unfit("", rows, effects, hidden), *_unfit("the decision ", decisions, effects.T, hidden.T)),
@@ -152,8 +145,10 @@ def _rows(transcribed: AbstractTranscribed) -> tuple[str, ...]:
     return (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
 
 
-def _has_tail(expression: Expression) -> bool:
-    return any(isinstance(one.kind, AbstractTail) for one in statistics_in((expression,)))
+def _tails(problem: Problem) -> Iterator[bool]:
+    """Whether the objective, and each constraint, holds a statistic of a tail."""
+    for one in (problem.objective, *(limit.expression for limit in problem.constraints)):
+        yield any(isinstance(each.kind, AbstractTail) for each in statistics_in((one,)))
 
 
 def _lost(
@@ -226,14 +221,10 @@ def _unfit(
 
 
 def _pairs(
-    transcribed: AbstractTranscribed,
-    rows: tuple[str, ...],
-    decisions: tuple[str, ...],
-    slopes: Slopes,
-    flags: np.ndarray,
+    rows: Sequence[tuple[str, slice]], decisions: tuple[str, ...], slopes: Slopes, flags: np.ndarray
 ) -> Iterator[str]:
-    """The rows and decisions that are flagged, with the slopes that were seen."""
-    for row, where in zip(rows, _blocks(transcribed), strict=True):
+    """The rows, by their blocks among all, and decisions that are flagged, with the slopes that were seen."""
+    for row, where in rows:
         for i in np.flatnonzero(flags[where].any(axis=0)):
             k = where.start + int(np.argmax(flags[where][:, i]))
             seen = f"{slopes.left[k, i]:.3g} below, {slopes.right[k, i]:.3g} above"

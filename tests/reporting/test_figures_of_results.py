@@ -2,6 +2,7 @@
 
 import html
 import re
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ import scipy
 import shown_results as shown
 
 import aleator as al
-from aleator.reporting._choices import bands
+from aleator.reporting._linked import bands
 from aleator.reporting._paths import limits_of
 
 
@@ -61,7 +62,7 @@ def test_limits_on_a_path_are_drawn_with_the_systems_for_which_they_hold_and_whe
     back, solution = al.path("back"), given.solution()
     both = [back.at_most(0.2, worst_case=True).named("reach"), back.at_least(-1.5, sigmas=3**0.5).named("start")]
     system, objective = given.problem().system, al.integral("effort").mean
-    limits = limits_of(al.Problem(system, grid=al.Grid(4.0, 50), minimize=objective, subject_to=both), back, "m")
+    limits = limits_of(al.Problem(system, grid=al.Grid(4.0, 50), minimize=objective, subject_to=both), back)
     assert limits.texts == {0.2: "reach: 0.2\u202fm in the worst case", -1.5: "start: −1.5\u202fm at 1.73 σ"}
     (limit,) = solution.constraints
     figure = solution.plot.limit(given.NAME)
@@ -253,3 +254,13 @@ def test_the_repr_of_a_result_is_one_line(name: str):
     (line,) = repr(result).splitlines()
     assert line.startswith(f"<{type(result).__name__}")
     assert len(line) < 300
+
+
+def test_a_figure_of_what_is_not_there_is_refused():
+    portfolio = replace(shown.portfolio(), searched=None)
+    with pytest.raises(al.ProblemError, match="expected a search"):
+        portfolio.plot.search()
+    uncounted = replace(given.evidence(), broken={}), replace(shown.evidence_of_all(), evidence=(None, None))
+    for one in uncounted:
+        with pytest.raises(al.ProblemError, match="expected a limit that single systems can break"):
+            one.plot.violations()

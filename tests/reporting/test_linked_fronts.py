@@ -11,7 +11,7 @@ import shown_results as shown
 import aleator as al
 from aleator import ProblemError
 from aleator.reporting import front_blocks, report, share_text, trade_off_blocks
-from aleator.reporting._choices import choice
+from aleator.reporting._linked import choice
 
 
 def facts(choice, caption):
@@ -35,7 +35,7 @@ def test_each_point_of_a_front_tells_its_decisions_objective_limits_prices_and_c
     assert facts(chosen, "Shadow prices") == {given.NAME: f"{front.shadow_prices[2]:.2f} m²/s³ per m"}
     assert facts(chosen, "Statistics") == {"μ[∫effort dt]": f"{solution.objective:.3f} m²/s³"}
     assert facts(chosen, "Certificate")["Status"] == "solved"
-    assert facts(chosen, "Certificate")["Active"] == given.NAME
+    assert facts(chosen, "Limits")["Active"] == given.NAME
 
 
 def test_a_front_opens_at_the_design_nearest_to_the_recommended_one():
@@ -69,7 +69,7 @@ def test_evidence_is_shown_at_the_design_on_which_it_was_sampled_and_nowhere_els
         counted = facts(each, "Evidence")
         assert counted["Fresh systems"] == "400"
         share = share_text(evidence.violations[given.NAME])
-        assert counted[f"Violate {given.NAME}"] == share.replace("\u202f", " ")
+        assert counted[f"Systems that violate {given.NAME}"] == share.replace("\u202f", " ")
     assert block.table.header[-1] == "Violate any limit"
     assert block.table.rows[3][-1] == "–"
     # The evidence on the solution of another problem with the same decisions is not on these.

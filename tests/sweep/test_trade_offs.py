@@ -113,9 +113,8 @@ def test_three_wishes_fill_a_surface_that_is_saved_and_drawn(tmp_path):
     with xarray.open_dataset(tmp_path / "results.nc", group="front", engine="h5netcdf") as kept:
         np.testing.assert_array_equal(kept["wish here"], found.values[:, 0])
         assert kept["wish there"].attrs["long_name"] == str(WISHES["there"])
-    figures = al.reporting.trade_off_figure(found)
-    assert len(figures) == 3
-    np.testing.assert_array_equal(figures[0].data[0].x, found.values[:, 0])
+    figure = al.reporting.pair_figure(found, 0, 2)
+    np.testing.assert_array_equal([figure.data[0].x, figure.data[0].y], found.values[:, [0, 2]].T)
 
 
 def test_designs_are_told_in_the_problem_that_was_given_and_keep_its_limits():

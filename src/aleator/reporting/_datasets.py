@@ -1,5 +1,6 @@
 """Results as labelled arrays with units, and which can be saved: by name, nested as needed."""
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
@@ -49,6 +50,12 @@ def leaves(results: Mapping[str, Any], *outer: str) -> Iterator[tuple[tuple[str,
 def by_place(results: Mapping[str, Any]) -> dict[str, Any]:
     """Each result by its place, such as `designs/robust`."""
     return {"/".join(names): result for names, result in leaves(results)}
+
+
+@functools.singledispatch
+def dataset(result: Any) -> Any:
+    """Any result of `KINDS` as a dataset; a dataset, or an array that a study has labelled itself, as it is."""
+    return result
 
 
 @final
@@ -134,7 +141,8 @@ def _side_by_side(each: Sequence[Any]) -> np.ndarray:
     return stacked
 
 
-def _of_solution(solution: Solution) -> "xarray.Dataset":
+@dataset.register(Solution)
+def _(solution: Solution) -> "xarray.Dataset":
     """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
     problem, arrays = solution.problem, _Arrays()
     objective_unit = unit_of_objective(problem)
@@ -201,7 +209,8 @@ def _add_histories(arrays: _Arrays, solution: Solution) -> None:
         arrays.add("germ", axes, solution.mesh_states.germs, "germ points of the realisations")
 
 
-def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
+@dataset.register(Evidence)
+def _(evidence: Evidence) -> "xarray.Dataset":
     """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
     problem, arrays = evidence.solution.problem, _Arrays()
     units, shares = units_of_moments(problem), {**evidence.violations, "any": evidence.joint}
@@ -220,12 +229,8 @@ def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
         arrays.add(f"standard error {text}", (), sampled.standard_error, f"standard error of {text}", unit)
     limits = {one.name: _along(problem, one) for one in problem.constraints if one.is_path}
     for i, kept in enumerate(evidence.trajectories):
-        axes, unit, label = (
-            ("system", *_axes(kept.values[0], limits[kept.name])),
-            unit_of_limit(kept.name, problem),
-            f"trajectory {i}",
-        )
-        bounds = {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
+        axes, label = ("system", *_axes(kept.values[0], limits[kept.name])), f"trajectory {i}"
+        unit, bounds = unit_of_limit(kept.name, problem), {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
         arrays.add(f"{label} {kept.name}", axes, kept.values, f"sampled systems: {kept.name}", unit, **bounds)
         broken = np.asarray(kept.violating, dtype=np.int8)
         arrays.add(f"{label} violating", "system", broken, f"1 if the system violates {kept.name}")
@@ -235,7 +240,8 @@ def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
     return arrays.dataset(attributes, evidence.solution, limit=list(shares), percent=list(PERCENTILES))
 
 
-def _of_front(front: Front) -> "xarray.Dataset":
+@dataset.register(Front)
+def _(front: Front) -> "xarray.Dataset":
     """Objective, shadow price, status and decisions along the values of a bound."""
     first, arrays = front.solutions[0], _Arrays()
     bound_unit, unit = unit_of_limit(front.bound, first.problem), unit_of_objective(first.problem)
@@ -253,7 +259,8 @@ def _of_front(front: Front) -> "xarray.Dataset":
     return arrays.dataset({"interrupted": int(front.interrupted)}, bound=None)
 
 
-def _of_calibration(calibration: Calibration) -> "xarray.Dataset":
+@dataset.register(Calibration)
+def _(calibration: Calibration) -> "xarray.Dataset":
     """Objective and violation for each margin tried; the chosen one, and its violation on fresh samples."""
     trials, arrays = sorted(calibration.trials, key=lambda trial: trial.sigmas), _Arrays()
     unit = unit_of_objective(trials[0].solution.problem)
@@ -276,7 +283,8 @@ def _of_calibration(calibration: Calibration) -> "xarray.Dataset":
     return arrays.dataset(attributes, sigmas=None)
 
 
-def _of_trade_off(front: TradeOff) -> "xarray.Dataset":
+@dataset.register(TradeOff)
+def _(front: TradeOff) -> "xarray.Dataset":
     """The wishes, their weights and the decisions at each design."""
     first, arrays = front.solutions[0], _Arrays()
     for i, (name, wish) in enumerate(zip(front.names, front.wishes, strict=True)):
@@ -285,15 +293,6 @@ def _of_trade_off(front: TradeOff) -> "xarray.Dataset":
     arrays.add_decisions("design", front.solutions, first)
     attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
     return arrays.dataset(attributes)
-
-
-def dataset(result: "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset") -> "xarray.Dataset":
-    """Any result as a dataset; a dataset, or an array that a study has labelled itself, is returned unchanged."""
-    makers: tuple[Any, ...] = (_of_solution, _of_evidence, _of_front, _of_trade_off, _of_calibration)
-    for kind, make in zip(KINDS, makers, strict=True):
-        if isinstance(result, kind):
-            return make(result)
-    return result  # pyright: ignore[reportReturnType]
 
 
 def tree(results: Mapping[str, Any]) -> "xarray.DataTree":

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from aleator._core.errors import ProblemError
 from aleator.nlp import Searched
-from aleator.reporting._blocks import Drawing
 from aleator.reporting._numbers import count, number, residual, unit_of_objective
+from aleator.reporting._page import Drawing
 from aleator.reporting._style import (
     ALARM,
     DASHES,
@@ -114,8 +115,13 @@ def search_drawings(designs: Mapping[str, Solution]) -> list[Drawing]:
     ]
 
 
-def search_figure(searched: Searched, unit: str = "") -> "Figure":
-    """The objective, in its `unit`, of every point that a search evaluated, in order, and the best so far."""
+def search_figure(searched: Searched | None, unit: str = "") -> "Figure":
+    """The objective, in its `unit`, of every point that a search evaluated, in order, and the best so far.
+
+    Raises `ProblemError` where there was no search, or none that evaluated anything.
+    """
+    if searched is None or not searched.evaluations:
+        raise ProblemError("plot.search: expected a search, or a solve, that evaluated designs; received none.")
     figure = blank(label("Evaluation"), label("Objective", unit))
     order, held = short(1 + np.arange(searched.evaluations)), searched.violations <= _HELD
     groups = [("feasible", held, Look(MUTED, "circle"))]

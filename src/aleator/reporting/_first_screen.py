@@ -9,7 +9,6 @@ from aleator._core.border import meant
 from aleator._core.errors import ProblemError
 from aleator.design import value, value_at
 from aleator.nlp import Status
-from aleator.reporting._blocks import Verdict
 from aleator.reporting._numbers import (
     count,
     given,
@@ -20,6 +19,7 @@ from aleator.reporting._numbers import (
     unit_of_objective,
     words,
 )
+from aleator.reporting._page import Verdict
 from aleator.reporting._tables import unresolved
 from aleator.solution import Solution
 from aleator.uncertainty import fields_of

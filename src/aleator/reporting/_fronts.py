@@ -1,13 +1,12 @@
 """Figures of sweeps: what lies along a bound (optima, shadow prices, decisions), trade-offs, growing penalties."""
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from aleator.reporting._numbers import (
     given,
@@ -42,23 +41,18 @@ _FLAT = 1e-6
 
 
 def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
-    """Each front by its bounds, and the places of its points among those of all as they were given, by which a page
-    links them with their designs.
+    """Each front by its bounds, as they are where these rise or fall throughout, and the places of its points among
+    those of all as they were given, by which a page links them with their designs.
     """
     ordered, before = {}, 0
     for name, front in fronts.items():
-        order = _order(front)
+        changes, order = np.diff(front.values), np.arange(len(front.values))
+        if not (np.all(changes >= 0) or np.all(changes <= 0)):
+            order = np.argsort(front.values, kind="stable")
         points = tuple(front.points[i] for i in order)
         ordered[name] = replace(front, values=front.values[order], points=points), (before + order).tolist()
         before += len(order)
     return ordered
-
-
-def _order(front: Front) -> Int[np.ndarray, " points"]:
-    """The places of the points by their bounds, as they are where these rise or fall throughout."""
-    changes = np.diff(front.values)
-    is_in_order = bool(np.all(changes >= 0) or np.all(changes <= 0))
-    return np.arange(len(front.values)) if is_in_order else np.argsort(front.values, kind="stable")
 
 
 def bound_unit(front: Front) -> str:
@@ -66,38 +60,29 @@ def bound_unit(front: Front) -> str:
     return unit_of_limit(front.bound, front.points[0].problem)
 
 
-def optimum_figure(fronts: Mapping[str, Front]) -> "Figure":
-    """The optimum along one bound, for some fronts by name, with the units of their problem."""
-    front = next(iter(fronts.values()))
-    unit = unit_of_objective(front.solutions[0].problem)
-    return front_figure(fronts, y="Objective", y_unit=unit, x=f"Limit of {front.bound}", x_unit=bound_unit(front))
-
-
-def price_figure(fronts: Mapping[str, Front]) -> "Figure":
-    """The shadow price of one bound along it, for some fronts by name, with its unit."""
-    front = next(iter(fronts.values()))
-    unit, by = unit_of_objective(front.solutions[0].problem), bound_unit(front)
-    per = f"{unit or '1'} per {by}" if by else ""
-    x = f"Limit of {front.bound}"
-    return shadow_price_figure(fronts, y="Shadow price of the bound", y_unit=per, x=x, x_unit=by)
+def _bound(front: Front) -> tuple[str, str]:
+    return f"Limit of {front.bound}", bound_unit(front)
 
 
 def front_figure(
     fronts: Mapping[str, Front],
     *,
-    x: str,
-    y: str,
+    x: str = "",
+    y: str = "",
     x_unit: str = "",
     y_unit: str = "",
     limits: Mapping[str, float] = MappingProxyType({}),
     infeasible: Mapping[str, Front] = MappingProxyType({}),
 ) -> "Figure":
-    """The optimum against the bound, one line for each front.
+    """The optimum against the bound, one line for each front; axes without a name have those of the problem.
 
     A marker is filled where the swept bound is active and open where it is not. Points without a
     solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
     `infeasible` shades the bounds at which another design does not exist.
     """
+    first = next(iter(fronts.values()))
+    x, x_unit = (x, x_unit) if x else _bound(first)
+    y, y_unit = (y, y_unit) if y else ("Objective", unit_of_objective(first.points[0].problem))
     figure = blank(label(x, x_unit), label(y, y_unit))
     low, high = _range(fronts, list(limits.values()))
     step, rows = 0.07 * (high - low), 1
@@ -120,9 +105,14 @@ def front_figure(
 
 
 def shadow_price_figure(
-    fronts: Mapping[str, Front], *, x: str, y: str, x_unit: str = "", y_unit: str = "", scale: float = 1.0
+    fronts: Mapping[str, Front], *, x: str = "", y: str = "", x_unit: str = "", y_unit: str = "", scale: float = 1.0
 ) -> "Figure":
-    """The value of relaxing a bound: the multiplier along each front, times `scale`."""
+    """The value of relaxing a bound: the multiplier along each front, times `scale`; axes as of `front_figure`."""
+    first = next(iter(fronts.values()))
+    x, x_unit = (x, x_unit) if x else _bound(first)
+    if not y:
+        unit, by = unit_of_objective(first.points[0].problem), bound_unit(first)
+        y, y_unit = "Shadow price of the bound", f"{unit or '1'} per {by}" if by else ""
     figure = blank(label(x, x_unit), label(y, y_unit), height=360)
     for name, (front, places) in in_order(fronts).items():
         price, below = scale * front.shadow_prices, f"limit %{{x:.4~g}} {plain(x_unit)}"
@@ -279,11 +269,6 @@ def wishes_text(front: TradeOff) -> list[str]:
         for row in front.values
     ]
     return ["<br>".join(row) for row in rows]
-
-
-def trade_off_figure(front: TradeOff) -> "list[Figure]":
-    """A figure for each pair of wishes: every design, with the values of all wishes to hover over."""
-    return [pair_figure(front, *pair) for pair in itertools.combinations(range(len(front.names)), 2)]
 
 
 def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":

@@ -2,21 +2,188 @@
 
 import html
 import json
+import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, final, get_args, get_origin
 
-from aleator.reporting._blocks import Drawing, Linked, Section, Verdict
-from aleator.reporting._choices import choices_data, stages
+import numpy as np
+
+from aleator._core.border import members, one_of, refusal
 from aleator.reporting._files import write_text
+from aleator.reporting._paths import ends
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-_PARTS = ("page.html.j2", "page.css", "page.js", "linked.js")
+Level = Literal["good", "caution", "bad"]
+# A curve of a chosen design is written to this part of its range.
+_FINE = 2000
+
+
+class AbstractPart:
+    """A part of a page, of which each field is checked when it is created: texts, and lists of what it is made of."""
+
+    def __post_init__(self) -> None:
+        title = getattr(self, "heading", "") or getattr(self, "caption", "") or getattr(self, "name", "")
+        for field in fields(self):  # type: ignore[arg-type]
+            what = f"{self.kind.capitalize()}{title and f' {title!r}'}: {field.name}"
+            kinds, value = field.type, getattr(self, field.name)
+            if kinds == "Sequence[Figure]":
+                from plotly.graph_objects import Figure
+
+                members(what, value, Figure)
+            elif get_origin(kinds) is Sequence:
+                (kind,) = get_args(kinds)
+                members(what, value, get_args(kind) if isinstance(kind, UnionType) else get_origin(kind) or kind)
+            elif isinstance(kinds, type):
+                one_of(what, value, kinds)
+
+    @property
+    def kind(self) -> str:
+        """What it is, for the template: `table`."""
+        return type(self).__name__.lower()
+
+
+@final
+@dataclass(frozen=True)
+class Verdict(AbstractPart):
+    """The first screen: a mark and its word, one headline, rows of facts, a few sentences.
+
+    - `rows`: what is said of the proposed design, each with its name.
+    """
+
+    level: Level
+    word: str
+    headline: str
+    sentences: Sequence[str] = ()
+    rows: Sequence[tuple[str, str]] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.level not in get_args(Level):
+            raise refusal("Verdict: level", " or ".join(map(repr, get_args(Level))), self.level)
+
+
+@final
+@dataclass(frozen=True)
+class Text(AbstractPart):
+    """Paragraphs of plain text; `lead` is set in bold before the first."""
+
+    paragraphs: Sequence[str]
+    lead: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class Code(AbstractPart):
+    """Text in a fixed-width font, such as a problem printed as mathematics, collapsed unless `opened`."""
+
+    heading: str
+    text: str
+    opened: bool = False
+
+
+@final
+@dataclass(frozen=True)
+class Table(AbstractPart):
+    """A table of text; the first column names the rows."""
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for i, row in enumerate(self.rows):
+            what = f"Table '{self.caption}': row {i}"
+            if len(members(what, row, str)) != len(self.header):
+                raise refusal(what, f"{len(self.header)} texts, one a column", row)
+
+
+@final
+@dataclass(frozen=True)
+class Drawing(AbstractPart):
+    """One figure, or several in a row with a common heading and a caption that says what to see in it."""
+
+    figures: "Sequence[Figure]"
+    heading: str
+    caption: str = ""
+    number: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class Schematic(AbstractPart):
+    """Drawings of a system as SVG, with its mathematics beside them."""
+
+    drawings: Sequence[str]
+    heading: str
+    caption: str = ""
+    number: str = ""
+    beside: Sequence[Code] = ()
+
+    def __html__(self) -> str:
+        """The drawings as markup for the template; they are trusted, as the study is."""
+        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
+
+
+@final
+@dataclass(frozen=True)
+class Choice(AbstractPart):
+    """A design that a reader can choose on a page: its name, what is known of it in tables, and a figure of each of its
+    paths, with the path's name in its `meta`.
+    """
+
+    name: str
+    facts: Sequence[Table]
+    bands: "Sequence[Figure]" = ()
+
+
+@final
+@dataclass(frozen=True)
+class Linked(AbstractPart):
+    """Figures of designs and a table of them, one row each, beside all that is known of the one that a reader chooses.
+
+    - `figures`: a trace says by its `meta`, a list of places in `choices`, to which designs its points belong;
+    - `table`: a row for each of `choices`, in the same order; without JavaScript it is what is shown;
+    - `chosen`: the place of the one shown first.
+    """
+
+    figures: "Sequence[Figure]"
+    heading: str
+    table: Table
+    choices: Sequence[Choice]
+    chosen: int = 0
+    caption: str = ""
+    number: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        what, count = f"Linked '{self.heading}'", len(self.choices)
+        if len(self.table.rows) != count:
+            raise refusal(f"{what}: table", f"{count} rows, one a choice", len(self.table.rows))
+        if self.chosen not in range(count):
+            raise refusal(f"{what}: chosen", f"the place of one of {count} choices", self.chosen)
+
+
+Block = Text | Code | Table | Drawing | Schematic | Linked
+
+
+@final
+@dataclass(frozen=True)
+class Section(AbstractPart):
+    """A heading and the blocks under it, which a reader opens if they are `folded`."""
+
+    heading: str
+    blocks: Sequence[Block]
+    folded: bool = False
 
 
 @final
@@ -31,24 +198,29 @@ class Page:
     footer: str = ""
 
 
-def page_html(page: Page) -> str:
-    """The page as one HTML document that contains styles, scripts and data."""
+@cache
+def template(name: str) -> Any:
+    """A template of ours, which escapes whatever is inserted."""
     import jinja2
-    from plotly.offline import get_plotlyjs
 
-    folder = resources.files("aleator.reporting") / "templates"
-    source = {one: (folder / one).read_text(encoding="utf-8") for one in _PARTS}
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    return environment.from_string(_source(name))
+
+
+def page_html(page: Page) -> str:
+    """The page as one HTML document that contains styles, scripts and data."""
+    from plotly.offline import get_plotlyjs
+
     blocks = [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
     drawings = [_drawn(block, i) for i, block in enumerate(blocks)]
-    return environment.from_string(source["page.html.j2"]).render(
+    return template("page.html.j2").render(
         page=page,
         anchors=_anchors(page),
         next_drawn=iter(drawings).__next__,
-        css=_raw(source["page.css"]),
-        script=_raw(source["page.js"] + source["linked.js"]),
+        css=_raw(_source("page.css")),
+        script=_raw(_source("page.js") + _source("linked.js")),
         plotly=_raw(get_plotlyjs()) if drawings else "",
     )
 
@@ -58,12 +230,17 @@ def write_page(page: Page, path: str | Path) -> Path:
     return write_text(path, page_html(page))
 
 
+def _source(name: str) -> str:
+    return (resources.files("aleator.reporting") / "templates" / name).read_text(encoding="utf-8")
+
+
 def _anchors(page: Page) -> list[str]:
-    """A unique anchor for each section."""
+    """A link target for each section: its heading, with a number where another one has it too."""
     found: list[str] = []
     for section in page.sections:
-        repeats = sum(re.fullmatch(rf"{re.escape(section.anchor)}(-\d+)?", one) is not None for one in found)
-        found.append(f"{section.anchor}-{repeats + 1}" if repeats else section.anchor)
+        anchor = re.sub(r"[^a-z0-9]+", "-", section.heading.lower()).strip("-") or "section"
+        repeats = sum(re.fullmatch(rf"{re.escape(anchor)}(-\d+)?", one) is not None for one in found)
+        found.append(f"{anchor}-{repeats + 1}" if repeats else anchor)
     return found
 
 
@@ -75,9 +252,17 @@ def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
         return {"name": name, "panels": panels}
     bands = [
         _panel(one, f"{name}-band-{i}", f"{block.heading}: {path} of the chosen design", "")
-        for i, (path, one) in enumerate(stages(block).items())
+        for i, (path, one) in enumerate(_stages(block).items())
     ]
-    return {"name": name, "panels": panels, "bands": bands, "json": _json(choices_data(block))}
+    choices = [
+        {
+            "name": one.name,
+            "facts": [{"caption": table.caption, "rows": table.rows, "note": table.note} for table in one.facts],
+            "bands": {_path_of(figure): _curves_and_limits(figure) for figure in one.bands},
+        }
+        for one in block.choices
+    ]
+    return {"name": name, "panels": panels, "bands": bands, "json": _json(choices)}
 
 
 def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str, Any]:
@@ -93,6 +278,39 @@ def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str,
         "alt": ". ".join(part for part in (heading, title, caption) if part),
         "json": _json(content),
     }
+
+
+def _stages(block: Linked) -> "Mapping[str, Figure]":
+    """A figure for each path of the choices, by its name, on axes that suit all of them."""
+    every: dict[str, list[Any]] = {}
+    for figure in (figure for one in block.choices for figure in one.bands):
+        every.setdefault(_path_of(figure), []).append(figure)
+    for name, (first, *others) in every.items():
+        times = [edge for one in (first, *others) for edge in ends(np.asarray(one.data[-1].x))]
+        reached = [edge for one in (first, *others) for edge in one.layout.yaxis.range]
+        stage = type(first)(first).update_xaxes(range=[min(times), max(times)])
+        every[name] = stage.update_yaxes(range=[min(reached), max(reached)])
+    return every  # type: ignore[return-value]
+
+
+def _path_of(figure: Any) -> str:
+    return figure.layout.meta
+
+
+def _curves_and_limits(figure: Any) -> dict[str, Any]:
+    """What differs between the designs in the figure of a path."""
+    layout, traces = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
+    numbers = ("x", "y", "customdata")
+    curves = [{key: _rounded(one) if key in numbers else one for key, one in each.items()} for each in traces]
+    return {"data": curves, "layout": {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}}
+
+
+def _rounded(values: np.ndarray) -> list[float | None]:
+    """Numbers to a part of their range that is finer than a pixel; null where one is not finite."""
+    known = [*ends(values)]
+    wide = max(known, default=0.0) - min(known, default=0.0)
+    digits = math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
+    return [round(float(one), digits) if math.isfinite(one) else None for one in values]
 
 
 def _json(content: Any) -> Any:

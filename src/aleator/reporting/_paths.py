@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, is_worst_case
-from aleator.reporting._numbers import given, share_text
+from aleator.reporting._numbers import given, share_text, unit_of_functional
 from aleator.reporting._style import (
     ALARM,
     CLOUD,
@@ -39,12 +39,13 @@ _DRAWN, _SHOWN = 60, 350
 
 class Limits(NamedTuple):
     """The limits on a path: by their values, in words; the largest multiple of the standard deviation in them; their
-    names.
+    names; and the unit of the path.
     """
 
     texts: dict[float, str]
     sigmas: float
     names: set[str]
+    unit: str
 
 
 def paths_of(problem: Problem) -> dict[str, AbstractFunctional]:
@@ -54,12 +55,12 @@ def paths_of(problem: Problem) -> dict[str, AbstractFunctional]:
     return {one.output if outputs.count(one.output) == 1 else one.text(): one for one in every}
 
 
-def limits_of(problem: Problem, functional: AbstractFunctional, unit: str) -> Limits:
+def limits_of(problem: Problem, functional: AbstractFunctional) -> Limits:
     """The limits on one path alone: on its mean, with a multiple of its standard deviation or without, or on its worst
     case.
     """
     texts: dict[float, str] = {}
-    sigmas, names = 0.0, set()
+    sigmas, names, unit = 0.0, set(), unit_of_functional(functional, problem)
     for limit in problem.constraints:
         if functionals_of((limit.expression,)) != (functional,) or not _has_values_of_path(limit):
             continue
@@ -69,7 +70,7 @@ def limits_of(problem: Problem, functional: AbstractFunctional, unit: str) -> Li
         for bound in (float(limit.lower), float(limit.upper)):
             if np.isfinite(bound):
                 texts[bound] = f"{limit.name}: {given(bound, unit)}{_systems_text(limit, multiple)}"
-    return Limits(texts, sigmas or _USUAL, names)
+    return Limits(texts, sigmas or _USUAL, names, unit)
 
 
 def _systems_text(limit: Constraint, multiple: float) -> str:

@@ -4,23 +4,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
-from aleator._core.border import a_name, positive
+from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
-from aleator.reporting._blocks import Block, Code, Drawing, Section, Table, Text, Verdict
-from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
+from aleator.reporting._linked import disagreements, evidence_on, front_blocks, trade_off_blocks
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
-from aleator.reporting._page import Page, write_page
+from aleator.reporting._page import Block, Code, Drawing, Page, Section, Table, Text, Verdict, write_page
 from aleator.reporting._paths import trajectory_figure
-from aleator.reporting._samples import percentile_figure
+from aleator.reporting._spreads import percentile_figure
 from aleator.reporting._store import provenance
-from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
 from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff
@@ -99,17 +97,8 @@ def _named(
     given: Result | Mapping[str, Result] | None, kinds: type[Result] | tuple[type[Result], ...], name: str = "design"
 ) -> dict[str, Result]:
     """One or several results by name; anything else is refused."""
-    if given is None:
-        return {}
-    if isinstance(given, kinds):
-        return {name: given}
-    expected = " or ".join(one.__name__ for one in (kinds if isinstance(kinds, tuple) else (kinds,)))
-    if not isinstance(given, Mapping):
-        raise ProblemError(f"report: expected a {expected} or several by name; received {type(given).__name__}.")
-    for key, one in given.items():
-        if not isinstance(one, kinds):
-            raise ProblemError(f"report: expected a {expected} as '{key}'; received {type(one).__name__}.")
-    return cast("dict[str, Result]", {str(key): one for key, one in given.items()})
+    every = {} if given is None else given if isinstance(given, Mapping) else {name: given}
+    return {str(key): one_of(f"report: '{key}'", one, kinds) for key, one in every.items()}
 
 
 def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:

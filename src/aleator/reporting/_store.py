@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from aleator.reporting._blocks import Block, Section, Table
 from aleator.reporting._datasets import by_place, leaves, savable, tree
 from aleator.reporting._files import write_together
 from aleator.reporting._numbers import count, number, unit_of_decision, unit_of_expression, unit_of_objective
+from aleator.reporting._page import Block, Section, Table
 from aleator.solution import ConstraintResult, Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence, Proportion
@@ -61,21 +61,14 @@ def environment() -> dict[str, str]:
     """The versions and the machine of this process, in words."""
     import aleator
 
+    found = (one for name in _LIBRARIES for one in metadata.distributions(name=name))
     return {
         "aleator": aleator.__version__,
         "Python": f"{platform.python_version()} ({platform.python_implementation()})",
-        "Libraries": ", ".join(f"{name} {metadata.version(name)}" for name in _LIBRARIES if _is_installed(name)),
+        "Libraries": ", ".join(dict.fromkeys(f"{one.name} {one.version}" for one in found)),
         "Machine": f"{platform.node()}: {platform.system()} {platform.release()}, {platform.machine()}",
         "Processor cores": count(os.cpu_count() or 1),
     }
-
-
-def _is_installed(name: str) -> bool:
-    try:
-        metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
@@ -90,14 +83,10 @@ def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
             fresh = ["–", "–"] if one.evidence is None else [str(one.evidence.seed), number(one.evidence.seconds, 3)]
             yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
         elif isinstance(one, Front | TradeOff) and one.solutions:
-            yield [here, *_of_front(one.solutions)]
-
-
-def _of_front(solutions: Any) -> list[str]:
-    """A front's row: one digest for all of its designs."""
-    together = _digest("".join(map(design_digest, solutions)).encode())
-    solvers = ", ".join(dict.fromkeys(one.effort.solver for one in solutions))
-    return [together, f"{count(len(solutions))} designs: {solvers}", "–", number(sum(map(_time_of, solutions)), 3)]
+            together = _digest("".join(map(design_digest, one.solutions)).encode())
+            solvers = ", ".join(dict.fromkeys(each.effort.solver for each in one.solutions))
+            time = number(sum(map(_time_of, one.solutions)), 3)
+            yield [here, together, f"{count(len(one.solutions))} designs: {solvers}", "–", time]
 
 
 def _time_of(solution: Solution) -> float:
@@ -183,7 +172,7 @@ def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
 
 def solution_document(solution: Solution, evidence: Evidence | None = None) -> dict[str, Any]:
     """One design: decisions, objective, constraints, certificate and, where it was sampled, violations."""
-    problem, quality = solution.problem, solution.certificate.expansion
+    problem, certificate, quality = solution.problem, solution.certificate, solution.certificate.expansion
     document: dict[str, Any] = {
         "status": solution.status.value,
         "decisions": {
@@ -206,22 +195,15 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             for one, declared in zip(solution.constraints, problem.constraints, strict=True)
         ],
         "certificate": {
-            "violation": solution.certificate.violation,
-            "stationarity": solution.certificate.stationarity,
-            "complementarity": solution.certificate.complementarity,
-            "iterations": solution.effort.iterations,
-            "evaluations": solution.effort.evaluations,
-            "solver": solution.effort.solver,
+            **{name: getattr(certificate, name) for name in ("violation", "stationarity", "complementarity")},
+            **{name: getattr(solution.effort, name) for name in ("iterations", "evaluations", "solver")},
             "search": None if solution.effort.searched is None else str(solution.effort.searched),
             "message": solution.message,
-            "said": [f"{label}: {text}" for label, text in solution.certificate.rows()],
+            "said": [f"{label}: {text}" for label, text in certificate.rows()],
         },
         "meshes": [str(one) for one in solution.meshes],
         "expansion": {
-            "order": quality.order,
-            "terms": quality.terms,
-            "points": quality.points,
-            "condition_number": quality.condition_number,
+            **{name: getattr(quality, name) for name in ("order", "terms", "points", "condition_number")},
             "leave_one_out": quality.leave_one_out,
             "leave_one_out_of_derivatives": quality.tangents,
         },
@@ -253,24 +235,13 @@ def evidence_document(evidence: Evidence) -> dict[str, Any]:
 def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
     """A constraint at its worst instant; histories are in the netCDF file."""
     return {
-        "name": one.name,
-        "text": one.text,
+        **{name: getattr(one, name) for name in ("name", "text", "lower", "upper", "violation", "shadow_price")},
         "unit": unit,
-        "lower": one.lower,
-        "upper": one.upper,
         "worst_value": one.worst,
         "worst_time_s": one.worst_time,
-        "violation": one.violation,
         "active": bool(np.any(one.active)),
-        "shadow_price": one.shadow_price,
     }
 
 
 def _share(share: Proportion) -> dict[str, float]:
-    return {
-        "estimate": share.estimate,
-        "lower": share.lower,
-        "upper": share.upper,
-        "confidence": share.confidence,
-        "count": share.count,
-    }
+    return {name: getattr(share, name) for name in ("estimate", "lower", "upper", "confidence", "count")}

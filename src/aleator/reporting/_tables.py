@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from aleator.nlp import Status
-from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import (
     NOTHING,
     count,
@@ -22,8 +21,12 @@ from aleator.reporting._numbers import (
     values_text,
     words,
 )
+from aleator.reporting._page import Table
 from aleator.solution import Solution
 from aleator.validation import Evidence
+
+# Numbers of an array that are listed at most.
+_LISTED = 6
 
 STATUS_WORDS = {
     Status.SOLVED: "solved",
@@ -58,16 +61,15 @@ def side_by_side(caption: str, columns: Mapping[str, Mapping[str, str]], note: s
 
 def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
     """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
-    columns = {name: dict(_design(one)) | _violations(evidence.get(name)) for name, one in solutions.items()}
+    columns = {name: dict(design_rows(one)) | violations(evidence.get(name)) for name, one in solutions.items()}
     note = "Shadow price: the decrease of the objective per unit by which the bound is relaxed."
     return side_by_side("Decisions, limits and violations", columns, note)
 
 
-def _design(solution: Solution) -> Iterator[tuple[str, str]]:
+def design_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+    """What a design is, and what it achieves."""
     yield "Status", status_words(solution)
-    for name, value in solution.decisions.items():
-        text = values_text(value, 5, unit_of_decision(name, solution.problem))
-        yield name, f"{text} (at its bound)" if solution.is_at_bound(name) else text
+    yield from ((name, decision_text(solution, name)) for name in solution.decisions)
     yield "Objective", objective_text(solution)
     for name in dict.fromkeys(part.name for part in solution.constraints):
         yield f"{name}: worst value", worst_text(solution, name)
@@ -78,7 +80,7 @@ def _design(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "Violated", words(broken)
 
 
-def _violations(evidence: Evidence | None) -> dict[str, str]:
+def violations(evidence: Evidence | None) -> dict[str, str]:
     """How often fresh systems break each limit; nothing where no limit is counted."""
     if evidence is None or not evidence.violations:
         return {}
@@ -88,17 +90,17 @@ def _violations(evidence: Evidence | None) -> dict[str, str]:
 
 def violations_table(evidence: Mapping[str, Evidence]) -> Table:
     """How many systems break each limit, a column for each design."""
-    columns = {name: _violations(one) for name, one in evidence.items()}
+    columns = {name: violations(one) for name, one in evidence.items()}
     return side_by_side("Systems that violate limits", columns, "In brackets: 95 % confidence.")
 
 
 def decision_text(solution: Solution, name: str) -> str:
-    """A decision with its unit, of an array from where to where it goes."""
+    """A decision with its unit, of a long array from where to where it goes."""
     value, unit = np.asarray(solution.decisions[name], float), unit_of_decision(name, solution.problem)
-    at = " (at its bound)" if solution.is_at_bound(name) else ""
-    if value.ndim == 0:
-        return number(float(value), 5, unit) + at
-    return f"{value.size} numbers from {number(value.min(), 4)} to {number(value.max(), 4, unit)}{at}"
+    text = values_text(value, 5, unit)
+    if value.size > _LISTED:
+        text = f"{value.size} numbers from {number(value.min(), 4)} to {number(value.max(), 4, unit)}"
+    return f"{text} (at its bound)" if solution.is_at_bound(name) else text
 
 
 def objective_text(solution: Solution) -> str:
@@ -118,15 +120,6 @@ def worst_text(solution: Solution, name: str) -> str:
     return f"{number(value, 5)} {relation} {given(bound, unit)}{when}{broken}"
 
 
-def limit_rows(solution: Solution) -> list[tuple[str, str]]:
-    """The name of each limit, with its worst value, its bound, and the shadow price of this where it is active."""
-    rows = []
-    for name in dict.fromkeys(one.name for one in solution.constraints):
-        price = solution.multiplier(name)
-        rows.append((name, worst_text(solution, name) + (f", shadow price {number(price, 4)}" if price else "")))
-    return rows
-
-
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     """The certificate of each design: residuals of the optimality conditions, what was checked, and the effort."""
     tolerances = sorted({f"{given(100 * one.certificate.expansion.tolerance)} %" for one in solutions.values()})
@@ -135,14 +128,15 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
         f" up to {words(tolerances)} it counts as resolved."
     )
-    return side_by_side("Certificate", {name: dict(_certificate(one)) for name, one in solutions.items()}, note)
+    return side_by_side("Certificate", {name: dict(certificate_rows(one)) for name, one in solutions.items()}, note)
 
 
 # Where the label of the printed certificate is short for want of room.
 _LABELS = {"between": "limits between the instants", "grid": "error of the grid", "fresh": "fresh systems"}
 
 
-def _certificate(solution: Solution) -> Iterator[tuple[str, str]]:
+def certificate_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+    """How far a design can be trusted, and what it took."""
     certificate, effort = solution.certificate, solution.effort
     yield "Status", status_words(solution)
     yield "Solver", effort.solver

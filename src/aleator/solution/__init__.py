@@ -1,6 +1,5 @@
 """The answer to a problem: its design, and what certifies it."""
 
-from aleator.solution._branching import Branching as Branching
 from aleator.solution._certificate import COSTLY as COSTLY
 from aleator.solution._certificate import TOLERATED as TOLERATED
 from aleator.solution._certificate import Between as Between
@@ -24,6 +23,7 @@ from aleator.solution._grid import Switching as Switching
 from aleator.solution._grid import system_text as system_text
 from aleator.solution._motions import Motions as Motions
 from aleator.solution._solution import AtMeans as AtMeans
+from aleator.solution._solution import Branching as Branching
 from aleator.solution._solution import ConstraintResult as ConstraintResult
 from aleator.solution._solution import Effort as Effort
 from aleator.solution._solution import Solution as Solution

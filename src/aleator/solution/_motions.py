@@ -1,6 +1,7 @@
 """`Motions`: quantities over time of some realisations of a design, with their means and spreads, by name."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 
 @final
+@dataclass(frozen=True, eq=False, repr=False)
 class Motions(Mapping[str, "xarray.Dataset"]):
     """Inputs, states or outputs over time, by name: `solution.outputs["x"]` is an `xarray.Dataset` with units.
 
@@ -30,25 +32,20 @@ class Motions(Mapping[str, "xarray.Dataset"]):
     - `where`: which of the times are those of a name, in whose phase alone it is known; all by default.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        times: Float[np.ndarray, " instants"] | None,
-        systems: Mapping[str, Float[np.ndarray, "systems ..."]],
-        moments: Mapping[str, Moments],
-        numbers: Mapping[str, Float[np.ndarray | Array, " systems"]],
-        units: Mapping[str, str],
-        where: Callable[[str], slice] | None = None,
-    ):
-        self.kind, self.times, self.systems = kind, times, systems
-        self.moments, self.numbers, self.units, self._where = moments, numbers, units, where
+    kind: str
+    times: Float[np.ndarray, " instants"] | None
+    systems: Mapping[str, Float[np.ndarray, "systems ..."]]
+    moments: Mapping[str, Moments]
+    numbers: Mapping[str, Float[np.ndarray | Array, " systems"]]
+    units: Mapping[str, str]
+    where: Callable[[str], slice] | None = None
 
     def times_of(self, name: str) -> Float[np.ndarray, " instants"] | None:
         """The instants at which something is known, s; None without time."""
         return None if self.times is None else self.times[self._of(name)]
 
     def _of(self, name: str) -> slice:
-        return slice(None) if self._where is None else self._where(name)
+        return slice(None) if self.where is None else self.where(name)
 
     @override
     def __getitem__(self, name: str) -> "xarray.Dataset":

@@ -1,6 +1,7 @@
 """The answer to a problem: its design, what was limited, what it took, and what certifies it."""
 
 import importlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
@@ -11,11 +12,48 @@ from jaxtyping import Float
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import AbstractFunctional, Constraint, Problem, instants_at, instants_of, problem_text
 from aleator.nlp import HELD, Searched, Status
-from aleator.solution._branching import Branching
 from aleator.solution._certificate import Certificate, Moments, Objection
 from aleator.solution._grid import Costates, MeshError, States, Switching, lines, system_text
 from aleator.solution._motions import Motions
 from aleator.trajectories import AbstractSignal
+
+
+@final
+@dataclass(frozen=True)
+class Branching(Printed):
+    """How a solution's integers and choices were found, and what is known of all others.
+
+    - `combinations`: how many there are in all;
+    - `nodes`: relaxed solves, in which those that are not decided yet are numbers between bounds, or where there are
+      few combinations (`listed`), solves of each; `candidates`: complete solves, with the certificate;
+    - `passed_over`: candidates whose certificate failed, or whose solve did, and which may be better than the answer;
+    - `bound`: no combination has an objective below it, as far as each node was solved to its *global* optimum: so it
+      is where the relaxed problem is convex, which nobody checks. `gap`: the objective less the bound;
+    - `is_finished`: whether all nodes below the answer were looked at; else Ctrl-C or the limit of nodes ended it;
+    - `is_proven`: whether no local optimum is involved: every combination was tried, and nothing else is decided.
+    """
+
+    combinations: int
+    nodes: int
+    candidates: int
+    passed_over: int
+    listed: bool
+    bound: float
+    gap: float
+    is_finished: bool
+    is_proven: bool
+
+    def __str__(self) -> str:
+        passed = f"; {self.passed_over} were passed over, whose certificates failed" if self.passed_over else ""
+        if self.listed and self.is_finished:
+            local = "" if self.is_proven else ", each to a local optimum"
+            return f"the best of {self.combinations} combinations, all of which were solved{local}{passed}"
+        many = f"{self.combinations}" if self.combinations < 1e6 else f"10^{math.log10(self.combinations):.0f}"
+        ended = "" if self.is_finished else "not finished: "
+        return (
+            f"{ended}of {many} combinations {self.nodes} nodes were solved; none is below {self.bound:.8g} (gap "
+            f"{self.gap:.2g}) if the relaxed problem is convex, which is not checked{passed}"
+        )
 
 
 @final

@@ -18,13 +18,13 @@ from aleator.sweep._front import point_name as point_name
 from aleator.sweep._harden import Hardened as Hardened
 from aleator.sweep._harden import harden as harden
 from aleator.sweep._margins import Trial as Trial
+from aleator.sweep._portfolio import Optimum as Optimum
+from aleator.sweep._portfolio import Portfolio as Portfolio
+from aleator.sweep._portfolio import Starts as Starts
 from aleator.sweep._portfolio import multistart as multistart
 from aleator.sweep._portfolio import portfolio as portfolio
 from aleator.sweep._posterior import Posterior as Posterior
 from aleator.sweep._posterior import posterior as posterior
-from aleator.sweep._starts import Optimum as Optimum
-from aleator.sweep._starts import Portfolio as Portfolio
-from aleator.sweep._starts import Starts as Starts
 from aleator.sweep._trade_off import TradeOff as TradeOff
 from aleator.sweep._trading import trade_off as trade_off
 from aleator.sweep._validate_all import EvidenceOfAll as EvidenceOfAll

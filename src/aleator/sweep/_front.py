@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
@@ -184,35 +184,42 @@ def pareto(
     bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
-    own = {"solver": solver, "transcription": transcription}
     problems = {value: problem.with_bound(bound, value) for value in bounds}
-    making = _FrontInTheMaking(bound, problems, own)
+    sweep = _Sweep(bound, problems, {"solver": solver, "transcription": transcription})
     named = {point_name(bound, value): one for value, one in problems.items()}
-    with running("pareto", lambda: making.solutions, progress, executor) as run, expected("solve", named):
-        making.solve(run)
-    return making.front(run.interrupted)
+    with running("pareto", lambda: sweep.solutions, progress, executor) as run, expected("solve", named):
+        sweep.run(run)
+    values = [value for value in bounds if value in sweep.points]
+    points, neighbours = zip(*(sweep.points[value] for value in values), strict=True)
+    if isinstance(points[0], Refused) and not sweep.solutions:
+        raise ProblemError(points[0].reason)
+    return Front(bound, np.array(values), points, run.interrupted, neighbours)
 
 
 @final
-class _FrontInTheMaking:
-    """A front in the making: its problems, and what was found, by the values of the bound."""
+@dataclass(eq=False)
+class _Sweep:
+    """What is known of a front, by the values of its bound: `points`, each with the bound of the design that led to it.
 
-    def __init__(self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any]):
-        self._bound, self._problems, self._own = bound, problems, own
-        self._points: dict[float, Solution | Refused] = {}
-        self._neighbours: dict[float, float | None] = {}
+    - `problems`: by these values; `own`: further arguments of each solve.
+    """
+
+    bound: str
+    problems: Mapping[float, Problem]
+    own: Mapping[str, Any]
+    points: dict[float, tuple[Solution | Refused, float | None]] = field(default_factory=dict)
 
     @property
     def solutions(self) -> dict[float, Solution]:
-        """What has been solved, by the values of the bound."""
-        return {value: one for value, one in self._points.items() if isinstance(one, Solution)}
+        """What has been solved."""
+        return {value: one for value, (one, _) in self.points.items() if isinstance(one, Solution)}
 
-    def solve(self, run: Runner) -> None:
+    def run(self, run: Runner) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([(value, None) for value in self._problems], run)
+        self._each([(value, None) for value in self.problems], run)
         tried, bettered = set[tuple[float, ...]](), True
         while bettered:
             known = self.solutions
@@ -221,23 +228,14 @@ class _FrontInTheMaking:
             tried.update(again)
             bettered = bool(pairs) and self._each(pairs, run)
 
-    def front(self, interrupted: bool) -> Front:
-        """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
-        values = [value for value in self._problems if value in self._points]
-        points = tuple(self._points[value] for value in values)
-        if isinstance(points[0], Refused) and not self.solutions:
-            raise ProblemError(points[0].reason)
-        neighbours = tuple(self._neighbours[value] for value in values)
-        return Front(self._bound, np.array(values), points, interrupted, neighbours)
-
     def _doubtful(self) -> Iterator[tuple[float, float]]:
-        limits = next(iter(self._problems.values())).named(self._bound)
+        limits = next(iter(self.problems.values())).named(self.bound)
         # 1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities.
         relaxing = int(any(np.isfinite(float(one.upper)) for one in limits))
         relaxing -= int(any(np.isfinite(float(one.lower)) for one in limits))
         places = [
             # A shadow price is the decrease for each unit of relaxation.
-            Place(value, one.objective, -(relaxing or 1) * one.multiplier(self._bound))
+            Place(value, one.objective, -(relaxing or 1) * one.multiplier(self.bound))
             if one.ok
             else Place(value, np.nan, np.nan)
             for value, one in self.solutions.items()
@@ -250,29 +248,27 @@ class _FrontInTheMaking:
 
     def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner) -> bool:
         """Solve some points, each from the design of a neighbour or its own start; whether one has been bettered."""
-        known = self.solutions
+        known, bettered = self.solutions, False
         calls = [
-            {"problem": self._problems[value], "warm_start": None if near is None else known[near], **self._own}
+            {"problem": self.problems[value], "warm_start": None if near is None else known[near], **self.own}
             for value, near in tries
         ]
-        names = [point_name(self._bound, value) for value, _ in tries]
-        task = f"front over {self._bound}" + ", from neighbours" * (tries[0][1] is not None)
-        bettered = False
+        task = f"front over {self.bound}" + ", from neighbours" * (tries[0][1] is not None)
+        names = [point_name(self.bound, value) for value, _ in tries]
+        froms = ["" if near is None else f", from {near:.6g}" for _, near in tries]
 
         def detail(i: int) -> str:
-            point = self._points[tries[i][0]]
-            brief = in_brief(point) if isinstance(point, Solution) else "no design"
-            return f": {names[i]}, {brief}"
+            point, _ = self.points[tries[i][0]]
+            return f": {names[i]}, {in_brief(point) if isinstance(point, Solution) else 'no design'}"
 
-        froms = ["" if near is None else f", from {near:.6g}" for _, near in tries]
         places = [f"at {name}{said}" for name, said in zip(names, froms, strict=True)]
         for i, found in run.each(SOLVE, task, calls, places, accepted=ProblemError, detail=detail):
-            (value, near), before = tries[i], self._points.get(tries[i][0])
+            (value, near), (before, _) = tries[i], self.points.get(tries[i][0], (None, None))
             if isinstance(before, Solution) and not _is_better(found, before, SAME * self._size):
                 continue
             refused = isinstance(found, ProblemError)
-            self._points[value] = Refused(self._problems[value], str(found)) if refused else found
-            self._neighbours[value], bettered = near, True
+            self.points[value] = Refused(self.problems[value], str(found)) if refused else found, near
+            bettered = True
         return bettered
 
 

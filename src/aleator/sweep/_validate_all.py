@@ -10,8 +10,8 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.leaves import Drawn
 from aleator.solution import Solution
 from aleator.sweep._front import Front, point_name
+from aleator.sweep._portfolio import Starts
 from aleator.sweep._runner import VALIDATE, running
-from aleator.sweep._starts import Starts
 from aleator.sweep._trade_off import TradeOff
 from aleator.validation import Evidence
 

@@ -25,8 +25,7 @@ from aleator.design import Estimated, Problem, Statistic, estimated
 from aleator.nlp import HELD
 from aleator.references._estimate import pair
 from aleator.solution import Solution
-from aleator.validation._limits import is_counted
-from aleator.validation._shares import Proportion
+from aleator.validation._shares import Proportion, is_counted
 
 # The two-sided probability beyond four standard deviations of a normal variable.
 _RARE = math.erfc(4 / math.sqrt(2))

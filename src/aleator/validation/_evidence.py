@@ -11,8 +11,7 @@ from aleator._core.leaves import Drawn, Printed
 from aleator.design import Statistic, uncertain
 from aleator.solution import Solution, ends
 from aleator.validation._comparisons import Compared, Disagreement, with_error
-from aleator.validation._limits import check_counted, reason_uncounted
-from aleator.validation._shares import Proportion
+from aleator.validation._shares import Proportion, check_counted, reason_uncounted
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 

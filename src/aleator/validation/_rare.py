@@ -20,8 +20,7 @@ from aleator._core.journalled import call_by_call, journalled, parts_so_far
 from aleator.ensemble import Part, at_levels, each, parts
 from aleator.solution import Solution
 from aleator.statistics import Proposal, levels_of
-from aleator.validation._limits import check_counted, is_counted
-from aleator.validation._shares import Share, WeightedProportion
+from aleator.validation._shares import Share, WeightedProportion, check_counted, is_counted
 from aleator.validation._systems import Systems
 from aleator.validation._validate import validate
 

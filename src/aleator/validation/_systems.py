@@ -26,7 +26,7 @@ from aleator.nlp import HELD
 from aleator.solution import Solution
 from aleator.uncertainty import refuse_intervals
 from aleator.validation._batches import SIMULATE, Batch, folds
-from aleator.validation._limits import is_counted
+from aleator.validation._shares import is_counted
 
 # A grid whose error is this part of the tolerance is as good as exact.
 _AN_ORDER_BELOW = 0.1

@@ -41,7 +41,7 @@ from aleator.validation._comparisons import (
     worst_disagreement,
 )
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
-from aleator.validation._limits import broken_by
+from aleator.validation._shares import broken_by
 from aleator.validation._systems import Systems
 
 # Differences below this part of the magnitude behind a functional are rounding.

@@ -6,8 +6,7 @@ and `@facts_of.register(Type)` above the function that gives its facts.
 """
 
 from aleator.reporting.drawn import _designs as _designs
-from aleator.reporting.drawn import _evidence as _evidence
-from aleator.reporting.drawn import _expansions as _expansions
+from aleator.reporting.drawn import _spreads as _spreads
 from aleator.reporting.drawn import _sweeps as _sweeps
 from aleator.reporting.drawn._facts import AbstractPlots as AbstractPlots
 from aleator.reporting.drawn._facts import Facts as Facts

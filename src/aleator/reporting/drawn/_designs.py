@@ -11,17 +11,14 @@ import numpy as np
 from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
 from aleator.design import history
-from aleator.reporting._blocks import Table
 from aleator.reporting._designs import mesh_figure, search_figure
 from aleator.reporting._numbers import (
     given,
     number,
     unit_of_decision,
     unit_of_expression,
-    unit_of_functional,
     unit_of_objective,
     units_of_outputs,
-    words,
 )
 from aleator.reporting._paths import (
     components,
@@ -33,7 +30,7 @@ from aleator.reporting._paths import (
     paths_of,
 )
 from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain, stacked
-from aleator.reporting._tables import decision_text, limit_rows, objective_text, status_words
+from aleator.reporting._tables import design_rows, side_by_side, status_words
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.solving import simulate_systems
@@ -55,23 +52,25 @@ def _over_time(solution: Solution) -> Mapping[str, str]:
 
 
 _NO_STATE = "expected states that are variables of the program; received a system without states."
+# What each quantity of all realisations is called in its figure, and what is said where there is none.
+_OF_REALISATIONS = {
+    "state": ("{}", _NO_STATE),
+    "costate": ("Costate of {}", _NO_STATE),
+    "input": ("Switching function of {}", "expected inputs that are certain; received none."),
+}
 
 
-def _state_figure(states: States, name: str | None, units: Mapping[str, str] = MappingProxyType({})) -> "Figure":
-    name, values = chosen("plot.state", name, states.values, _NO_STATE)
-    return histories_figure(states.times_of(name), values, y=name, unit=units.get(name, ""), who="realisations")
-
-
-def _costate_figure(costates: Costates, name: str | None) -> "Figure":
-    name, values = chosen("plot.costate", name, costates.values, _NO_STATE)
-    return histories_figure(costates.times_of(name), values, y=f"Costate of {name}", who="realisations")
-
-
-def _switching_figure(switching: Switching, name: str | None) -> "Figure":
-    name, values = chosen("plot.input", name, switching.values, "expected inputs that are certain; received none.")
-    limits = {0.0: "an input inside its bounds makes it zero"}
-    y, who = f"Switching function of {name}", "switching functions"
-    return histories_figure(switching.times_of(name), np.asarray(values)[None], y=y, who=who, limits=limits)
+def _realisations(
+    kind: str, part: States | Costates | Switching, name: str | None, units: Mapping[str, str] = MappingProxyType({})
+) -> "Figure":
+    """A state, a costate or a switching function over time; by default the first."""
+    title, nothing = _OF_REALISATIONS[kind]
+    name, values = chosen(f"plot.{kind}", name, part.values, nothing)
+    shown: dict[str, Any] = {"y": title.format(name), "unit": units.get(name, ""), "who": "realisations"}
+    if kind == "input":
+        values = np.asarray(values)[None]
+        shown |= {"who": "switching functions", "limits": {0.0: "an input inside its bounds makes it zero"}}
+    return histories_figure(part.times_of(name), values, **shown)
 
 
 @plots_of.register(States)
@@ -80,7 +79,7 @@ class StatesPlots(AbstractPlots[States]):
 
     def state(self, name: str | None = None) -> "Figure":
         """A state over time, of every realisation at the collocation points; by default the first."""
-        return _state_figure(self._result, name)
+        return _realisations("state", self._result, name)
 
 
 @plots_of.register(Costates)
@@ -89,7 +88,7 @@ class CostatesPlots(AbstractPlots[Costates]):
 
     def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of every realisation at the collocation points; by default the first."""
-        return _costate_figure(self._result, name)
+        return _realisations("costate", self._result, name)
 
 
 @plots_of.register(Switching)
@@ -98,7 +97,7 @@ class SwitchingPlots(AbstractPlots[Switching]):
 
     def input(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, with its zero; by default of the first."""
-        return _switching_figure(self._result, name)
+        return _realisations("input", self._result, name)
 
 
 _NO_PATH = (
@@ -135,14 +134,13 @@ class SolutionPlots(AbstractPlots[Solution]):
         if known and output is not None and not (isinstance(output, str) and output in known):
             raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
         name, functional = chosen("plot.band", self._held_path() if output is None else output, known, _NO_PATH)
-        unit = unit_of_functional(functional, problem)
-        limits, moments = limits_of(problem, functional, unit), self._result.moments[functional.text()]
+        limits, moments = limits_of(problem, functional), self._result.moments[functional.text()]
         return path_figure(
             self._result.times_of(functional),
             components(f"mean of {name}", moments.mean, moments.std),
             sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
             y=name,
-            unit=unit,
+            unit=limits.unit,
             limits=limits.texts,
             title=self._warning(),
         )
@@ -163,7 +161,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         unit, is_random = units_of_outputs(problem).get(name, ""), kind == "outputs" and bool(problem.placements.germs)
         motions = simulate_systems(self._result, samples, seed=seed) if is_random else getattr(self._result, kind)
         limited = paths.get(name)
-        limits = {} if limited is None or limited.output != name else limits_of(problem, limited, unit).texts
+        limits = {} if limited is None or limited.output != name else limits_of(problem, limited).texts
         who = "random systems" if is_random else "systems"
         shown = {"unit": unit, "limits": limits, "title": self._warning(), "who": who}
         return histories_figure(np.asarray(motions.times_of(name)), motions.systems[name], y=name, **shown)
@@ -233,15 +231,15 @@ class SolutionPlots(AbstractPlots[Solution]):
     def state(self, name: str | None = None) -> "Figure":
         """A state over time, of all realisations of a simultaneous program."""
         units = units_of_outputs(self._result.problem)
-        return _state_figure(_collocated(self._result.mesh_states, "plot.state"), name, units)
+        return _realisations("state", _collocated(self._result.mesh_states, "plot.state"), name, units)
 
     def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of all realisations of a simultaneous program."""
-        return _costate_figure(_collocated(self._result.costates, "plot.costate"), name)
+        return _realisations("costate", _collocated(self._result.costates, "plot.costate"), name)
 
     def switching(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, of a simultaneous program."""
-        return _switching_figure(_collocated(self._result.switching, "plot.switching"), name)
+        return _realisations("input", _collocated(self._result.switching, "plot.switching"), name)
 
     def mesh(self) -> "Figure":
         """The meshes of a simultaneous program, with their errors."""
@@ -251,8 +249,6 @@ class SolutionPlots(AbstractPlots[Solution]):
     def search(self) -> "Figure":
         """What a search without derivatives evaluated, or the local solver where there was none."""
         searched = self._result.effort.searched or self._result.effort.visited
-        if searched is None or not searched.evaluations:
-            raise ProblemError("plot.search: expected a solve that evaluated designs; received one without a history.")
         return search_figure(searched, unit_of_objective(self._result.problem))
 
     def _active(self) -> list[str]:
@@ -274,7 +270,7 @@ class SolutionPlots(AbstractPlots[Solution]):
     def _limited(self) -> "list[Figure]":
         """The limits over time, each by its path where it is on one alone; active ones first."""
         problem, active = self._result.problem, set(self._active())
-        alone = {path: limits_of(problem, one, "").names for path, one in paths_of(problem).items()}
+        alone = {path: limits_of(problem, one).names for path, one in paths_of(problem).items()}
         over_time = dict.fromkeys(one.name for one in self._result.constraints if one.times is not None)
         every = [(self.band, path, bool(names & active)) for path, names in alone.items() if names]
         every += [(self.limit, name, name in active) for name in over_time if name not in set().union(*alone.values())]
@@ -290,7 +286,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         """A path on which alone there is an active limit; None without one."""
         problem, active = self._result.problem, set(self._active())
         paths = paths_of(problem).items()
-        return next((name for name, one in paths if limits_of(problem, one, "").names & active), None)
+        return next((name for name, one in paths if limits_of(problem, one).names & active), None)
 
     def _warning(self) -> str:
         """What a reader must know of a design that is not solved."""
@@ -308,13 +304,8 @@ class MeshPlots(AbstractPlots[MeshError]):
 
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
-    heading = f"Solution: {status_words(solution)}"
-    rows = [("objective", f"{objective_text(solution)} = {solution.problem.objective}")]
-    rows += [(name, decision_text(solution, name)) for name in solution.decisions]
-    limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]
-    active = [("active", words(list(solution.active), "nothing"))]
-    table = Table("", ["", ""], [*rows, *limits, *active, ("solver", solution.effort.solver)])
-    return Facts(heading, "" if solution.ok else solution.why(), [table])
+    table = side_by_side("", {"": {**dict(design_rows(solution)), "Solver": solution.effort.solver}})
+    return Facts(f"Solution: {status_words(solution)}", "" if solution.ok else solution.why(), [table])
 
 
 def _collocated(part: Any, what: str) -> Any:

@@ -1,7 +1,6 @@
 """The registry of figures and facts: `AbstractPlots`, one method for each figure; `Facts`, what a notebook shows."""
 
 import functools
-import html
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -13,8 +12,8 @@ from aleator._core.errors import ProblemError
 from aleator.design import Problem, problem_rows
 from aleator.dynamics import AbstractSystem
 from aleator.mechanics import AbstractMechanical
-from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import given
+from aleator.reporting._page import Table, template
 from aleator.uncertainty import AbstractDecision, AbstractDistribution, fields_of
 
 if TYPE_CHECKING:
@@ -70,15 +69,6 @@ def unknown(what: str, name: Any, known: Collection[str]) -> ProblemError:
     return ProblemError(f"{what}: expected {expected}; received {shown(name)}.{near}")
 
 
-# Rows of a table that are shown at most; all are in the printed text.
-_MOST = 12
-# No colours but translucent greys: text takes the colours of the notebook, light or dark.
-_LINE = "1px solid rgba(128,128,128,0.45)"
-_TABLE = "border-collapse:collapse;margin:0 0 0.8em 0"
-_CAPTION = "text-align:left;white-space:nowrap"
-_CELL = f"padding:0.2em 0.8em 0.2em 0;text-align:left;vertical-align:top;border-bottom:{_LINE}"
-
-
 @dataclass(frozen=True)
 class Facts:
     """A heading, a sentence that matters most, and small tables. All of it is plain text, escaped when it is shown."""
@@ -101,32 +91,7 @@ def page_of(result: Any) -> str:
     except Exception:
         # A notebook would show the trace of this in the place of the result, which can be printed all the same.
         facts = Facts(type(result).__name__)
-    tables = "".join(map(_table, facts.tables))
-    sentence = _element("p", facts.sentence) if facts.sentence else ""
-    printed = _element("pre", str(result), "overflow-x:auto;line-height:1.35")
-    if facts.tables:
-        printed = f"<details><summary>as printed</summary>{printed}</details>"
-    inside = f"<p>{_element('b', facts.heading)}</p>{sentence}{tables}{printed}"
-    # Notebooks set what is between dollar signs as mathematics, unless told not to.
-    return f'<div class="aleator tex2jax_ignore mathjax_ignore">{inside}</div>'
-
-
-def _table(table: Table) -> str:
-    left = len(table.rows) - _MOST
-    note = f"and {left} more. {table.note}" if left > 0 else table.note
-    caption = _element("caption", table.caption, _CAPTION) if table.caption else ""
-    head = [_row(table.header, "th")] if any(table.header) else []
-    rows = "".join([*head, *(_row(row, "td") for row in table.rows[:_MOST])])
-    return f'<table style="{_TABLE}">{caption}{rows}</table>' + (_element("p", note) if note else "")
-
-
-def _row(cells: Sequence[str], kind: str) -> str:
-    return f"<tr>{''.join(_element(kind, cell, _CELL) for cell in cells)}</tr>"
-
-
-def _element(kind: str, text: str, style: str = "") -> str:
-    opened = f'{kind} style="{style}"' if style else kind
-    return f"<{opened}>{html.escape(text)}</{kind}>"
+    return template("notebook.html.j2").render(facts=facts, printed=str(result))
 
 
 @facts_of.register(AbstractMechanical)

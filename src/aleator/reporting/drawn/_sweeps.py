@@ -7,20 +7,18 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.nlp import Searched
-from aleator.reporting._blocks import Table
 from aleator.reporting._designs import search_figure
 from aleator.reporting._fronts import (
     bound_unit,
+    front_figure,
     in_order,
-    optimum_figure,
     pair_figure,
-    price_figure,
+    shadow_price_figure,
     unit_of,
     wishes_text,
 )
-from aleator.reporting._methods import bars_figure
+from aleator.reporting._linked import front_table, trade_off_table
 from aleator.reporting._numbers import (
-    count,
     given,
     number,
     percent,
@@ -29,7 +27,8 @@ from aleator.reporting._numbers import (
     unit_of_objective,
     words,
 )
-from aleator.reporting._samples import calibration_figure
+from aleator.reporting._page import Table
+from aleator.reporting._spreads import bars_figure, calibration_figure
 from aleator.reporting._style import (
     ALARM,
     FONT,
@@ -46,7 +45,6 @@ from aleator.reporting._style import (
     padded,
     plain,
 )
-from aleator.reporting._sweeps import front_table, trade_off_table
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Starts, TradeOff
 
@@ -64,11 +62,11 @@ class FrontPlots(AbstractPlots[Front]):
 
     def curve(self) -> "Figure":
         """The optimum against the bound: filled where it is active; crosses where there is no design."""
-        return optimum_figure({"design": self._solved("plot.curve")})
+        return front_figure({"design": self._solved("plot.curve")})
 
     def shadow_prices(self) -> "Figure":
         """By what the optimum falls for each unit by which the bound is relaxed."""
-        return price_figure({"design": self._solved("plot.shadow_prices")})
+        return shadow_price_figure({"design": self._solved("plot.shadow_prices")})
 
     def decision(self, name: str | None = None) -> "Figure":
         """A decision against the bound, of an array each entry; by default the first."""
@@ -273,8 +271,6 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
 
     def search(self) -> "Figure":
         """What the global search evaluated."""
-        if self._result.searched is None:
-            raise ProblemError("plot.search: expected a portfolio with a global search; received one without.")
         return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
 
 
@@ -284,8 +280,6 @@ class SearchedPlots(AbstractPlots[Searched]):
 
     def search(self) -> "Figure":
         """The objective of every point evaluated, in order, and the best so far."""
-        if not self._result.evaluations:
-            raise ProblemError("plot.search: expected a search that evaluated designs; received one without any.")
         return search_figure(self._result)
 
 
@@ -331,13 +325,3 @@ def _(portfolio: Portfolio) -> Facts:
     heading = f"Portfolio of {portfolio.starts} starts: {len(rows)} optima{', interrupted' * portfolio.interrupted}"
     sentence = portfolio.sure() if portfolio.best.ok else portfolio.best.why()
     return Facts(heading, sentence, [Table("", ["objective", "starts", "of these random"], rows)])
-
-
-@facts_of.register(Searched)
-def _(searched: Searched) -> Facts:
-    return Facts(f"{searched.method}: {count(searched.evaluations)} evaluations")
-
-
-@facts_of.register(CrossChecked)
-def _(check: CrossChecked) -> Facts:
-    return Facts(f"Cross-check: {'the solutions agree' if check.agree else 'the solutions do not agree'}")
