@@ -294,7 +294,7 @@ def _by_name(what: str, expected: str, given: Any, kind: type[Any], least: int =
     """Things of a kind by their names, so many at least. Raises `ProblemError` for anything else."""
     if not isinstance(given, Mapping) or len(given) < least:
         raise refusal(what, expected, given)
-    return {a_name(f"{what}: a name", name): one_of(f"{what}: '{name}'", one, kind) for name, one in given.items()}
+    return {a_name(f"{what}: a key", name): one_of(f"{what}: '{name}'", one, kind) for name, one in given.items()}
 
 
 def _distinct(what: str, values: Any) -> np.ndarray:
