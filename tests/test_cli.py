@@ -1,18 +1,15 @@
 """The command line: how it exits, what it keeps and what it prints."""
 
 import io
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 import aleator as al
-from aleator import studies
-from aleator.cli._progress import shown
-from aleator.cli._terminal import fitted
-from aleator.reporting import Table, Verdict, _files
+from aleator import cli, studies
+from aleator.cli._terminal import fitted, shown
+from aleator.reporting import Table, Verdict
 from aleator.studies import Draft
 from command_line import aleator, said
 from rehearsed_runs import STAGES, Rehearsal
@@ -109,27 +106,12 @@ def test_a_table_fits_its_terminal_and_cuts_no_number(width: int):
     assert all(number in printed for number in numbers)
 
 
-HOLDER = """
-import fcntl, sys
-file = open(sys.argv[1], "a")
-fcntl.flock(file, fcntl.LOCK_EX)
-print("held", flush=True)
-sys.stdin.read()
-"""
-
-
 def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, monkeypatch, tmp_path: Path):
-    monkeypatch.setattr(_files, "_PATIENCE", 0.1)
-    study = Rehearsal()
-    with _files.only_writer(tmp_path):
-        (lock,) = tmp_path.iterdir()
-    with subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", HOLDER, str(lock)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as holder:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == "held\n"
-        result = run(study, "--out", str(tmp_path))
-        holder.kill()
+    def taken(folder: Path):
+        raise al.ProblemError(f"Another process writes into '{folder}'.")
+
+    monkeypatch.setattr(cli._course, "only_writer", taken)
+    result = run(study := Rehearsal(), "--out", str(tmp_path))
     assert result.exit_code == 2
     assert study.begun == []
     assert "Another process" in said(result)

@@ -19,7 +19,7 @@ from aleator._core.identity import code_digest
 from aleator._core.journalled import NotKeptError, journalled, read_lines
 from aleator.extending import kept
 from aleator.journalling import recalling
-from aleator.journalling._parts import Parts
+from aleator.journalling._results import Parts
 from executors import AsProcesses, scattered
 from zoo import bar_problem, gain_problem
 

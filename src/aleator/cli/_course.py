@@ -12,18 +12,9 @@ from aleator._core.border import one_of
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._folder import RECORD, Record, is_stale
 from aleator.cli._interruption import Interruptions
-from aleator.cli._progress import shown
-from aleator.cli._terminal import FAILED, USAGE, Terminal
+from aleator.cli._terminal import FAILED, USAGE, Terminal, shown
 from aleator.journalling import Journal, journal
-from aleator.reporting import (
-    PAGE,
-    by_place,
-    check_writable,
-    designs_document,
-    only_writer,
-    save_study,
-    words,
-)
+from aleator.reporting import PAGE, by_place, check_writable, designs_document, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, Draft
 from aleator.sweep import Front, point_name
@@ -56,8 +47,8 @@ def executed(
     with ExitStack() as held:
         held.enter_context(course.interruptions)
         try:
-            job = one_of("run_study: the study", made(), AbstractStudy)
-            job.check_declaration()
+            study = one_of("run_study: the study", made(), AbstractStudy)
+            study.check_declaration()
             folder = check_writable(out)
             held.enter_context(only_writer(folder))
             if record is not None:
@@ -73,7 +64,7 @@ def executed(
             terminal.complain("error", error)
             return USAGE
         try:
-            code = course.execute(Draft(job), folder, results)
+            code = course.execute(Draft(study), folder, results)
             if taken := len(results.taken):
                 subject = "1 result was" if taken == 1 else f"{taken} results were"
                 hint = "" if afresh is None else "; --afresh computes anew"
@@ -91,39 +82,35 @@ def executed(
 
 @final
 class _Course:
-    """One run of a study, and its messages."""
+    """One run of a study, and its messages; until `execute` there is no page."""
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
-        self.interruptions = Interruptions(self._end_at_once)
-        self._folder = Path()
+        self.interruptions = Interruptions(
+            lambda: terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)
+        )
         self._page: Draft | None = None
-        self._paths = list[Path]()
-        self._complaints = list[str]()
+        self._paths, self._complaints = list[Path](), list[str]()
         self._mistake: Exception | None = None
-        # How many results the journal has, and had before the present step.
-        self._count: Callable[[], int] = lambda: 0
-        self._before = 0
-        # When that began, and how many results were recalled and computed until then.
-        self._started, self._counts = 0.0, (0, 0)
 
     def execute(self, page: Draft, folder: Path, results: Journal) -> int:
         """Run the chapter, save its results, write the page, and print the tables; returns the exit code."""
         self._folder, self._journal, self._page = folder, results, page
-        self._count = lambda: sum(entry.is_finished for entry in results.entries)
+        self._begin_step()
         with self._terminal.warning():
             code = self._run_through(page)
-        self._terminal.note(**self._facts(page), recalled=len(results.taken))
+        if self._terminal.is_json:
+            self._terminal.note(**self._facts(page), recalled=len(results.taken))
         return code
 
     def _run_through(self, page: Draft) -> int:
-        code = self._attempt(page, "the chapter", lambda: self._fill(page))
+        code = self._attempt(page, "the chapter", self._fill)
         if page.finished or page.kept or page.failures:
-            code = self._attempt(page, "saving", lambda: self._save(page)) or code
-            code = self._attempt(page, "the page", lambda: self._write_page(page)) or code
+            code = self._attempt(page, "saving", self._save) or code
+            code = self._attempt(page, "the page", self._write_page) or code
         if not self._interrupted(code):
             self.interruptions.rest()
-            code = self._attempt(page, "the last word", lambda: self._print_results(page)) or code
+            code = self._attempt(page, "the last word", self._print_results) or code
         if self._interrupted(code):
             self.interruptions.conclude()
             self._terminal.last_words(self._last_words())
@@ -138,10 +125,13 @@ class _Course:
     def _interrupted(self, code: int) -> bool:
         return self.interruptions.received is not None or code == self.interruptions.exit_code
 
-    def _attempt(self, page: Draft, where: str, part: Callable[[], None]) -> int:
-        """Do a part of the run; returns the exit code. Failures are noted for the page."""
+    def _attempt(self, page: Draft, where: str, part: Callable[[Draft], None]) -> int:
+        """Do a part of the run; returns the exit code. Failures are noted for the page and told once.
+
+        One in a study's own code is raised again after writing, for its traceback.
+        """
         try:
-            part()
+            part(page)
         except KeyboardInterrupt:
             return self.interruptions.exit_code
         except Exception as error:
@@ -152,62 +142,80 @@ class _Course:
             if isinstance(error, BrokenPipeError):
                 raise
             page.fail(where, error)
-            self._tell(error)
+            said = f"{error}"
+            if not isinstance(error, AleatorError | MemoryError | OSError):
+                self._mistake = self._mistake or error
+                said = f"{type(error).__name__}: {error}"
+            if said not in self._complaints:
+                self._complaints.append(said)
+                self._terminal.complain(f"error{self._during()}", said)
             return FAILED
         return 0
-
-    def _tell(self, error: Exception) -> None:
-        """Report an error, once. One in a study's own code is raised again after writing, for its traceback."""
-        said = f"{error}"
-        if not isinstance(error, AleatorError | MemoryError | OSError):
-            self._mistake = self._mistake or error
-            said = f"{type(error).__name__}: {error}"
-        if said not in self._complaints:
-            self._complaints.append(said)
-            self._terminal.complain(f"error{self._during()}", said)
 
     def _during(self) -> str:
         return f" during '{self._page.present}'" if self._page and self._page.present else ""
 
     def _last_words(self) -> str:
         """What an interrupted run has saved."""
-        present, finished = (self._page.present, self._page.finished) if self._page else ("", [])
-        more = self._count() - self._before if present else 0
+        if self._page is None:
+            return "Interrupted: no part was finished; nothing was written."
+        present, finished = self._page.present, self._page.finished
+        more = self._available() - self._before if present else 0
         saved = [f"'{name}'" for name in finished]
         if more > 0:
             saved.append(f"{more} result{'s' if more > 1 else ''} of '{present}'")
         none = "" if finished else "no part was finished; "
-        if none and not saved:
+        if not saved:
             return f"Interrupted{self._during()}: {none}nothing was written."
         verb = "are" if len(saved) > 1 or more > 1 else "is"
         report = ", without a report" if finished and PAGE not in [path.name for path in self._paths] else ""
-        subject = words(saved, "what was found")
-        return f"Interrupted{self._during()}: {none}{subject} {verb} kept in {self._folder}{report}."
+        return f"Interrupted{self._during()}: {none}{words(saved)} {verb} kept in {self._folder}{report}."
 
-    def _end_at_once(self) -> str:
-        return self._terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)
+    def _available(self) -> int:
+        return sum(entry.is_finished for entry in self._journal.entries)
+
+    def _begin_step(self) -> None:
+        self._before, self._started = self._available(), time.perf_counter()
+        self._counts = self._journal.recalled, self._journal.begun
 
     def _fill(self, page: Draft) -> None:
         with shown(self._terminal.console, None) as progress, self.interruptions.work():
 
             def begun(name: str) -> None:
-                self._before, self._started = self._count(), time.perf_counter()
-                self._counts = self._journal.recalled, self._journal.begun
+                self._begin_step()
                 progress.begin(name)
 
             def ended(name: str) -> None:
                 self._name_results(page)
-                recalled, fresh = self._journal.recalled - self._counts[0], self._journal.begun - self._counts[1]
-                progress.end(name, _duration(time.perf_counter() - self._started, recalled, fresh))
+                progress.end(name, self._step_in_words())
 
             page.fill(progress.show, begun, ended)
 
+    def _step_in_words(self) -> str:
+        """How a step came to its end: by computing, or with results of an earlier run."""
+        recalled, begun = self._journal.recalled - self._counts[0], self._journal.begun - self._counts[1]
+        if recalled and not begun:
+            return "recalled from an earlier run"
+        part = f", {recalled} of {recalled + begun} recalled" if recalled else ""
+        return f"{time.perf_counter() - self._started:.1f} s{part}"
+
     def _name_results(self, page: Draft) -> None:
-        """Let the journal know what the study calls its results, for `aleator validate` and `al.load`."""
+        """Let the journal know what the study calls its results, for `aleator validate` and `al.load`.
+
+        Points of fronts have the names that they had while they were waiting: none of an earlier run has these now.
+        """
         results = by_place(page.kept)
+        points = [
+            (point_name(front.bound, value), point)
+            for front in results.values()
+            if isinstance(front, Front)
+            for value, point in zip(front.values.tolist(), front.points, strict=True)
+            if isinstance(point, Solution)
+        ]
+        often = Counter(name for name, _ in points)  # without what several fronts call so
         designs = {place: result for place, result in results.items() if isinstance(result, Solution | Evidence)}
         # The last name is that of the result: what a study calls a design comes before its place along a front.
-        self._journal.call({**_points(results), **dict(reversed(designs.items()))})
+        self._journal.call({name: one for name, one in points if often[name] == 1} | dict(reversed(designs.items())))
 
     def _save(self, page: Draft) -> None:
         self._name_results(page)
@@ -227,44 +235,20 @@ class _Course:
 
     def _facts(self, page: Draft) -> Mapping[str, Any]:
         """The run for its JSON document, whatever of it is there."""
-        if not self._terminal.is_json:
-            return {}
-        fronts = {place: _front_facts(one) for place, one in by_place(page.kept).items() if isinstance(one, Front)}
         return {
             "folder": str(self._folder),
             "finished": page.finished,
             "files": [str(path) for path in self._paths],
-            "title": page.title,
+            "title": page.study.title,
             "verdict": page.headline(),
             "designs": designs_document(page.kept),
-            "fronts": fronts,
+            "fronts": {
+                place: _front_document(one) for place, one in by_place(page.kept).items() if isinstance(one, Front)
+            },
         }
 
 
-def _points(results: Mapping[str, Any]) -> dict[str, Solution]:
-    """The points of fronts by the names that they had while they were waiting: none of an earlier run has these now.
-
-    Without what several fronts call so.
-    """
-    named = [
-        (point_name(front.bound, value), point)
-        for front in results.values()
-        if isinstance(front, Front)
-        for value, point in zip(front.values.tolist(), front.points, strict=True)
-        if isinstance(point, Solution)
-    ]
-    often = Counter(name for name, _ in named)
-    return {name: point for name, point in named if often[name] == 1}
-
-
-def _duration(seconds: float, recalled: int, begun: int) -> str:
-    """How a part came to its end: by computing, or with results of an earlier run."""
-    if not recalled:
-        return f"{seconds:.1f} s"
-    return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"
-
-
-def _front_facts(front: Front) -> dict[str, Any]:
+def _front_document(front: Front) -> dict[str, Any]:
     """A front, point by point."""
     columns = zip(front.values, front.points, front.objectives, front.shadow_prices, front.violations, strict=True)
     return {

@@ -3,7 +3,6 @@
 import hashlib
 import os
 import re
-import sys
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
@@ -171,14 +170,13 @@ def recorded(folder: Path) -> Record:
     """
     record = _read(folder)
     if not record.is_file:
-        if record.directory not in sys.path:
-            sys.path.insert(0, record.directory)
+        studies.importable(Path(record.directory))
         return record
     places = record.places(folder)
     for place in places:
         if place.is_file():
             return replace(record, study=str(place))
-    sys.path[:0] = [f"{place.parent.resolve()}" for place in places if place.parent.is_dir()]
+    studies.importable(*(place.parent for place in places if place.parent.is_dir()))
     raise ProblemError(
         f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
         "where it is now, with --out for this folder."

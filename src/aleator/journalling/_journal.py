@@ -26,7 +26,7 @@ from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, numbered, read
 from aleator.journalling._keys import Keys, done_with
 from aleator.journalling._load import entries_in
-from aleator.journalling._parts import Parts
+from aleator.journalling._results import Parts
 from aleator.nlp import Status
 from aleator.reporting import check_writable, only_writer
 

@@ -1,5 +1,7 @@
 """Results as files: labelled arrays for any program that reads netCDF, and the objects themselves beside them.
 
+What takes long is kept part by part until its whole result is.
+
 Reading an object runs code, as importing a module does: a model's own classes are in it. So objects are read only from
 files that belong to this user, that nobody else can write to, and whose content is what was written.
 """
@@ -8,18 +10,22 @@ import hashlib
 import io
 import os
 import pickle
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
+from typing_extensions import override
 
 from aleator._core.border import content_of
 from aleator._core.errors import ProblemError
+from aleator._core.journalled import AbstractParts
 from aleator._core.programs import is_private
 from aleator.reporting import KINDS, tree, write_whole
 
 _OBJECT, _KEY = "object", "key"
 _OTHERS = 0o022  # may write
+_DIGEST = hashlib.sha256().digest_size
 
 
 def write(path: Path, result: Any, key: str) -> str:
@@ -95,3 +101,45 @@ def read(path: Path, digest: str, key: str) -> Any:
         raise
     except Exception as error:  # neither pickle nor h5py has a common one
         raise ProblemError(f"'{path}' cannot be read ({type(error).__name__}: {error}).") from error
+
+
+@final
+class Parts(AbstractParts):
+    """One file a part, beside the results: a digest of its place and content, and Python's pickle.
+
+    - `key`: that of the result; `warn`: is told why a part could not be kept;
+    - `recalls`: whether parts of an earlier run are taken.
+    """
+
+    def __init__(self, folder: Path, key: str, warn: Callable[[str], None], *, recalls: bool = True):
+        self._folder, self._key, self._warn, self._recalls = folder, key, warn, recalls
+
+    @override
+    def recall(self, number: int) -> Any:
+        try:
+            data = read_private(self._place(number)) if self._recalls else b""
+        except ProblemError:  # it is missing, or others could have written it
+            return None
+        digest, content = data[:_DIGEST], data[_DIGEST:]
+        # What a crash has cut off is computed again.
+        return pickle.loads(content) if digest == self._digest(number, content) else None
+
+    @override
+    def keep(self, number: int, part: Any) -> None:
+        content = pickle.dumps(part)
+        try:
+            write_private(self._place(number), self._digest(number, content) + content)
+        except (ProblemError, OSError) as error:
+            self._warn(f"a part of a result is not kept: {error}")
+
+    def drop(self) -> None:
+        """Delete all parts: the whole result is kept."""
+        for path in self._folder.glob(f"{self._key}-*.part"):
+            path.unlink(missing_ok=True)
+
+    def _digest(self, number: int, content: bytes) -> bytes:
+        """Of the result and the number too: a part in another place is another one."""
+        return hashlib.sha256(f"{self._key} {number}\0".encode() + content).digest()
+
+    def _place(self, number: int) -> Path:
+        return self._folder / f"{self._key}-{number}.part"

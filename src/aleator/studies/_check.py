@@ -14,9 +14,8 @@ from aleator.design import Problem, problem_text
 from aleator.dynamics import Grid
 from aleator.examining import examine
 from aleator.reporting import Code, Table, number, side_by_side
-from aleator.studies._own import Study
+from aleator.studies._own import Study, problems_of
 from aleator.studies._study import AbstractStudy
-from aleator.studies._swept import problems_of
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
 from aleator.uncertainty import fields_of
 
@@ -25,49 +24,24 @@ _EVALUATIONS = 30
 _SECONDS = "{:.2g} s"
 
 
-class Facts(NamedTuple):
-    """What is known of a problem before it is solved; `instants` and `samples` are None where there are none.
-
-    - `seconds_to_compile`, `seconds_of_evaluation`: on this machine, at the start; `bytes_of_derivatives`: of all rows.
-    """
-
-    decisions: int
-    uncertain: int
-    instants: int | None
-    order: int
-    terms: int
-    points: int
-    condition_number: float
-    rows: int
-    derivatives_agree: bool
-    seconds_to_compile: float
-    seconds_of_evaluation: float
-    samples: int | None
-    bytes_of_derivatives: int
-
-    @property
-    def simulations(self) -> int:
-        """How many are expected: of a solve, and of its evidence."""
-        return _EVALUATIONS * self.points + (self.samples or 0 if self.uncertain else 1)
-
-
 @final
 class Check:
     """The problems of a study: what each is, how well it is posed, and what it will take.
 
-    - `facts`: by the names of designs; `troubles`: what may stop a solver, a sentence each.
+    - `facts`: what is known of each before it is solved, by the names of designs; `instants` and `samples` are None
+      where there are none, times are of this machine at the start, and `bytes_of_derivatives` those of all rows;
+    - `troubles`: what may stop a solver, a sentence each.
 
     Raises `ProblemError` if the study declares no problems.
     """
 
     def __init__(self, study: AbstractStudy):
-        self._study, self._problems = study, problems_of(study)
-        self._samples = study.samples if isinstance(study, Study) else None
-        self.facts: dict[str, Facts] = {}
-        self.troubles = list[str]()
+        self._problems, self.troubles = problems_of(study), list[str]()
+        self._solves, samples = (study.solves, study.samples) if isinstance(study, Study) else (0, None)
+        self.facts = dict[str, dict[str, Any]]()
         for name, problem in self._problems.items():
-            self.facts[name], found = _facts(problem, self._samples)
-            self.troubles += [f"{name}: {one}" for one in found]
+            self.facts[name], troubles = _facts(problem, samples)
+            self.troubles += [f"{name}: {trouble}" for trouble in troubles]
 
     def mathematics(self) -> list[Code]:
         """Each problem as mathematics."""
@@ -82,7 +56,7 @@ class Check:
 
     def table(self) -> Table:
         """A column for each problem."""
-        count = self._study.solves if isinstance(self._study, Study) else 0
+        count = self._solves
         solves = f", and {count} {'solve' if count == 1 else 'solves'} in all" if count else ""
         note = f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve{solves}."
         return side_by_side("What will be done", {name: _column(one) for name, one in self.facts.items()}, note)
@@ -90,12 +64,9 @@ class Check:
     def document(self) -> Mapping[str, Any]:
         """The same for programs."""
         return {
-            name: {**one._asdict(), "simulations": one.simulations, "numbers": self._documented(name)}
-            for name, one in self.facts.items()
+            name: {**facts, "numbers": {key: one._asdict() for key, one in _numbers(self._problems[name]).items()}}
+            for name, facts in self.facts.items()
         }
-
-    def _documented(self, name: str) -> dict[str, Any]:
-        return {number: one._asdict() for number, one in _numbers(self._problems[name]).items()}
 
 
 class _Number(NamedTuple):
@@ -122,50 +93,53 @@ def _numbers(problem: Problem) -> dict[str, _Number]:
     return numbers
 
 
-def _facts(problem: Problem, samples: int | None) -> tuple[Facts, list[str]]:
+def _facts(problem: Problem, samples: int | None) -> tuple[dict[str, Any], list[str]]:
     """What is known of a problem, and what may stop a solver."""
     began = time.perf_counter()
     transcribed = transcribe(problem, DEFAULT)
     compiled = time.perf_counter() - began
     each = _seconds(transcribed)
     agree, troubles = _examined(problem)
-    grid, basis, rows = problem.grid, transcribed.basis, len(transcribed.program.constraint_lower)
-    decisions = problem.placements.size
-    facts = Facts(
-        decisions=decisions,
-        uncertain=basis.variables,
-        instants=grid.steps + 1 if isinstance(grid, Grid) else None,
-        order=basis.order,
-        terms=basis.terms,
-        points=len(transcribed.collocation.points),
-        condition_number=float(transcribed.collocation.condition_number),
-        rows=rows,
-        derivatives_agree=agree,
-        seconds_to_compile=compiled,
-        seconds_of_evaluation=each,
-        samples=samples,
-        bytes_of_derivatives=NUMBER * rows * (1 + decisions),
-    )
+    basis, collocation = transcribed.basis, transcribed.collocation
+    rows, decisions = len(transcribed.program.constraint_lower), problem.placements.size
+    facts = {
+        "decisions": decisions,
+        "uncertain": basis.variables,
+        "instants": problem.grid.steps + 1 if isinstance(problem.grid, Grid) else None,
+        "order": basis.order,
+        "terms": basis.terms,
+        "points": len(collocation.points),
+        "condition_number": float(collocation.condition_number),
+        "rows": rows,
+        "derivatives_agree": agree,
+        "seconds_to_compile": compiled,
+        "seconds_of_evaluation": each,
+        "samples": samples,
+        # Of a solve, and of its evidence.
+        "simulations": _EVALUATIONS * len(collocation.points) + (samples or 0 if basis.variables else 1),
+        "bytes_of_derivatives": NUMBER * rows * (1 + decisions),
+    }
     return facts, troubles
 
 
-def _column(facts: Facts) -> dict[str, str]:
-    sampled = "as many as the study asks for" if facts.samples is None else f"{facts.samples}"
+def _column(facts: Mapping[str, Any]) -> dict[str, str]:
+    sampled = "as many as the study asks for" if facts["samples"] is None else f"{facts['samples']}"
+    size, random = facts["bytes_of_derivatives"], facts["uncertain"] > 0
     return {
-        "decisions": f"{facts.decisions}",
-        "uncertain numbers": f"{facts.uncertain}",
-        "instants": "no time" if facts.instants is None else f"{facts.instants}",
-        "expansion": f"order {facts.order}, {facts.terms} terms" if facts.uncertain else "none",
-        "collocation points": f"{facts.points}",
-        "condition number": number(facts.condition_number, 3),
-        "rows of limits": f"{facts.rows}",
-        "derivatives": "agree with differences" if facts.derivatives_agree else "see below",
-        "compilation": _SECONDS.format(facts.seconds_to_compile),
-        "one evaluation": _SECONDS.format(facts.seconds_of_evaluation),
-        "one solve": f"about {_SECONDS.format(_EVALUATIONS * facts.seconds_of_evaluation)}",
-        "samples": sampled if facts.uncertain else "one system, on a finer grid",
-        "simulations": f"about {facts.simulations}",
-        "memory of derivatives": _bytes(facts.bytes_of_derivatives),
+        "decisions": f"{facts['decisions']}",
+        "uncertain numbers": f"{facts['uncertain']}",
+        "instants": "no time" if facts["instants"] is None else f"{facts['instants']}",
+        "expansion": f"order {facts['order']}, {facts['terms']} terms" if random else "none",
+        "collocation points": f"{facts['points']}",
+        "condition number": number(facts["condition_number"], 3),
+        "rows of limits": f"{facts['rows']}",
+        "derivatives": "agree with differences" if facts["derivatives_agree"] else "see below",
+        "compilation": _SECONDS.format(facts["seconds_to_compile"]),
+        "one evaluation": _SECONDS.format(facts["seconds_of_evaluation"]),
+        "one solve": f"about {_SECONDS.format(_EVALUATIONS * facts['seconds_of_evaluation'])}",
+        "samples": sampled if random else "one system, on a finer grid",
+        "simulations": f"about {facts['simulations']}",
+        "memory of derivatives": f"{size / 2**20:.2g} MiB" if size < 2**30 else f"{size / 2**30:.2g} GiB",
     }
 
 
@@ -175,12 +149,7 @@ def _examined(problem: Problem) -> tuple[bool, list[str]]:
         found = examine(problem)
     except SimulationError as error:
         return False, [str(error)]
-    troubles = [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
-    return found.ok, troubles
-
-
-def _bytes(size: int) -> str:
-    return f"{size / 2**20:.2g} MiB" if size < 2**30 else f"{size / 2**30:.2g} GiB"
+    return found.ok, [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
 
 
 def _seconds(transcribed: AbstractTranscribed) -> float:

@@ -5,17 +5,16 @@ import importlib.util
 import re
 import sys
 import traceback
-from importlib import import_module
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from aleator._core.border import meant
+from aleator._core.border import meant, one_of
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
-from aleator.studies._own import Study, study_of
+from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy, CaseStudy
-from aleator.studies._toml import load_toml
 
 
 def load_file(path: Path) -> AbstractStudy:
@@ -25,7 +24,7 @@ def load_file(path: Path) -> AbstractStudy:
     """
     if not path.is_file():
         raise ProblemError(f"There is no file '{path}'. `aleator new {path}` begins a study there.")
-    return study_of(str(path), vars(_executed(path)))
+    return _study_of(str(path), vars(_executed(path)))
 
 
 def load_module(place: str) -> AbstractStudy:
@@ -35,9 +34,7 @@ def load_module(place: str) -> AbstractStudy:
     count. Raises `ProblemError`, naming the place, if there is none.
     """
     name, _, attribute = place.partition(":")
-    folder = str(Path.cwd())
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
+    importable(Path.cwd())
     try:
         module = importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -46,8 +43,15 @@ def load_module(place: str) -> AbstractStudy:
             raise ProblemError(f"There is no module '{missing}', which the study '{place}' needs.") from error
         raise ProblemError(f"{place}: it imports '{missing}', which is not installed.") from error
     except Exception as error:
-        raise _refused(place, Path(), error) from error
-    return study_of(place, vars(module) if not attribute else {"study": _attribute(place, module, attribute)})
+        raise _refused(place, error) from error
+    return _study_of(place, {"study": _attribute(place, module, attribute)} if attribute else vars(module))
+
+
+def importable(*folders: Path) -> None:
+    """Let modules in these folders be imported from now on."""
+    places = [f"{folder.resolve()}" for folder in folders]
+    if sys.path[: len(places)] != places:
+        sys.path[:0] = places
 
 
 def _attribute(place: str, module: ModuleType, name: str) -> Any:
@@ -58,15 +62,30 @@ def _attribute(place: str, module: ModuleType, name: str) -> Any:
         try:
             found = found()
         except Exception as error:
-            raise _refused(place, Path(), error) from error
+            raise _refused(place, error) from error
     return Study(found, title=name.replace("_", " ").capitalize()) if isinstance(found, Problem) else found
 
 
-def _refused(owner: str, path: Path, error: BaseException) -> ProblemError:
-    """The error of a user's own code in a sentence: our own messages, and others with their kind."""
+def _study_of(owner: str, declared: Mapping[str, Any]) -> AbstractStudy:
+    """The study that a file declares by its names: `study`, or a `Study` of its problems. Raises `ProblemError`."""
+    study = declared.get("study")
+    if study is not None:
+        return one_of(f"{owner}: study", study, AbstractStudy, "al.Study(problem)")
+    problems = {name: one for name, one in declared.items() if isinstance(one, Problem) and not name.startswith("_")}
+    if not problems:
+        raise ProblemError(
+            f"{owner}: expected a study, such as `study = al.Study(problem)`, or problems, such as "
+            "`problem = al.Problem(...)`; received neither."
+        )
+    return Study(problems, title=owner)
+
+
+def _refused(owner: str, error: BaseException) -> ProblemError:
+    """The error of a user's own code in a sentence, with the last line of its file that it passed through."""
     kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
-    line = _line(error, path)
-    return ProblemError(f"{owner}{f', line {line}' if line else ''}: {kind}{error}")
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == Path(owner).resolve()]
+    return ProblemError(f"{owner}{f', line {lines[-1]}' if lines else ''}: {kind}{error}")
 
 
 def _executed(path: Path) -> ModuleType:
@@ -77,8 +96,7 @@ def _executed(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     before = sys.modules.get(path.stem)
     sys.modules[path.stem] = module
-    # Modules beside it, as for `python FILE.py`.
-    sys.path.insert(0, str(path.parent.resolve()))
+    importable(path.parent)  # modules beside it, as for `python FILE.py`
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
@@ -89,15 +107,8 @@ def _executed(path: Path) -> ModuleType:
             del sys.modules[path.stem]
         else:
             sys.modules[path.stem] = before
-        raise _refused(str(path), path, error) from error
+        raise _refused(str(path), error) from error
     return module
-
-
-def _line(error: BaseException, path: Path) -> int:
-    """The last line of a file that an exception passed through."""
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [one.lineno for one in frames if Path(one.filename).resolve() == path.resolve()]
-    return next((one for one in reversed(lines) if one is not None), 0)
 
 
 # A module with a package or an object, or both.
@@ -120,22 +131,28 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
 
     Raises `ProblemError` for an unknown name, and for a file that declares no study, or no quick one if that is asked.
     """
-    if name.endswith(".toml"):
-        own = load_toml(Path(name), load_module)
-        return own.quickened() if quick else own
-    if name.endswith(".py") or _MODULE.fullmatch(name):
-        own = load_file(Path(name)) if name.endswith(".py") else load_module(name)
-        return _quick(own, name) if quick else own
+    if name.endswith((".toml", ".py")) or _MODULE.fullmatch(name):
+        return _own(name, quick)
     if name not in STUDIES:
         own = name if name.isidentifier() else "bracket"
         raise ProblemError(
             f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
             f"your own, such as {own}.py (`aleator new {own}.py` begins one)."
         )
-    return CaseStudy(import_module(f"aleator.studies.{name.replace('-', '_')}._chapter"), quick=quick)
+    return CaseStudy(importlib.import_module(f"aleator.studies.{name.replace('-', '_')}._chapter"), quick=quick)
 
 
-def _quick(study: AbstractStudy, name: str) -> AbstractStudy:
+def _own(name: str, quick: bool) -> AbstractStudy:
+    """A study of a file or a module."""
+    if name.endswith(".toml"):
+        from aleator.studies._toml import load_toml  # which imports pydantic
+
+        importable(Path(name).parent)
+        study = load_toml(Path(name), load_module)
+    else:
+        study = load_file(Path(name)) if name.endswith(".py") else load_module(name)
+    if not quick:
+        return study
     if not isinstance(study, Study):
         raise ProblemError(f"{name}: its study is a {type(study).__name__}, which has no quick form: run it in full.")
     return study.quickened()

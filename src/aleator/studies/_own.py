@@ -1,31 +1,40 @@
-"""`Study`: a study of one's own, declared by its problems alone."""
+"""`Study`: a study of one's own, declared by its problems alone; `SweptStudy`: a design along a bound."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from copy import copy
+from dataclasses import replace
 from typing import Any, final
 
+import numpy as np
 from typing_extensions import override
 
-from aleator._core.border import a_name, one_of, positive, refusal, whole
+from aleator._core.border import a_name, meant, one_of, positive, real_array, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.reporting import (
     TARGET,
+    Section,
+    Verdict,
     certificate_table,
+    count,
     designs_table,
     evidence_sections,
     evidence_table,
+    front_table,
+    number,
     proposal,
     sections,
     trade_offs_section,
     violations_table,
+    words,
 )
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._study import AbstractStudy, Draft
-from aleator.studies._swept import check_sweepable, distinct, executor_of
-from aleator.sweep import Front, TradeOff, pareto, trade_off, validate_all
+from aleator.sweep import Front, TradeOff, pareto, point_name, trade_off, validate_all, workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
@@ -77,23 +86,25 @@ class Study(AbstractStudy):
         workers: int | None = None,
         quick: bool = False,
     ):
-        self._problems = _problems(designs)
+        designs = {"design": designs} if isinstance(designs, Problem) else designs
+        self.problems = _by_name("Study: designs", "a problem, or several by name", designs, Problem)
         self.title = one_of("Study: title", title, str)
         self.subtitle = one_of("Study: subtitle", subtitle, str)
-        self._samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
+        self.samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
         self._target = positive("Study: target", target, below=1.0)
-        if not isinstance(sweeps, Mapping | None):
-            raise refusal("Study: sweeps", "values by the names of constraints", sweeps)
-        swept = (sweeps or {}).items()
-        self._sweeps = {name: distinct(f"Study: sweep over '{name}'", one) for name, one in swept}
-        self._wishes = _checked_wishes(wishes)
+        expected, swept = "values by the names of constraints", {} if sweeps is None else sweeps
+        swept = _by_name("Study: sweeps", expected, swept, object, 0)
+        self._sweeps = {name: _distinct(f"Study: sweep over '{name}'", values) for name, values in swept.items()}
+        expected = "two expressions or more by name"
+        self._wishes = {} if wishes is None else _by_name("Study: wishes", expected, wishes, Expression, 2)
         self._points = whole("Study: points", points, least=max(2, len(self._wishes)))
-        self._solver = None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
-        self._transcription = one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()")
-        self._workers = None if workers is None else whole("Study: workers", workers)
-        self._is_quick = False
+        self.solving = {
+            "solver": None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()"),
+            "transcription": one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()"),
+        }
+        self.workers = None if workers is None else whole("Study: workers", workers)
         for name, values in self._sweeps.items():
-            check_sweepable("Study: sweeps", self._last, name, values)
+            _check_sweepable("Study: sweeps", self._last, name, values)
         if quick:
             self._shrink()
 
@@ -104,14 +115,9 @@ class Study(AbstractStudy):
         return quick
 
     def _shrink(self) -> None:
-        self._is_quick, self._samples = True, max(self._samples // _QUICK_SAMPLES, 2)
-        self._sweeps = {name: one[::_QUICK_POINTS] for name, one in self._sweeps.items()}
+        self.left_out, self.samples = "all samples and all points of its fronts", max(self.samples // _QUICK_SAMPLES, 2)
+        self._sweeps = {name: values[::_QUICK_POINTS] for name, values in self._sweeps.items()}
         self._points = max(self._points // _QUICK_POINTS, max(2, len(self._wishes)))
-
-    @property
-    @override
-    def workers(self) -> int | None:
-        return self._workers
 
     @override
     def with_workers(self, count: int) -> "Study":
@@ -121,23 +127,8 @@ class Study(AbstractStudy):
                 "`sweeps` or `wishes`. A single solve takes all cores of the machine by itself."
             )
         shared = copy(self)
-        shared._workers = whole("Study: workers", count)
+        shared.workers = whole("Study: workers", count)
         return shared
-
-    @property
-    @override
-    def problems(self) -> Mapping[str, Problem]:
-        return self._problems
-
-    @property
-    @override
-    def solving(self) -> Mapping[str, Any]:
-        return {"solver": self._solver, "transcription": self._transcription}
-
-    @property
-    def samples(self) -> int:
-        """The fresh systems on which each design is validated."""
-        return self._samples
 
     @property
     def solves(self) -> int:
@@ -148,11 +139,6 @@ class Study(AbstractStudy):
     @property
     def _last(self) -> Problem:
         return list(self.problems.values())[-1]
-
-    @property
-    @override
-    def left_out(self) -> str:
-        return "all samples and all points of its fronts" if self._is_quick else ""
 
     @override
     def chapter(self, page: Draft) -> None:
@@ -170,7 +156,7 @@ class Study(AbstractStudy):
         for name, design in designs.items():
             page.step(f"evidence on {name}")
             if design.ok:
-                evidence[name] = validate(design, self._samples, seed=self._seed, progress=page.progress)
+                evidence[name] = validate(design, self.samples, seed=self._seed, progress=page.progress)
                 page.keep("evidence", {name: evidence[name]})
         page.recommend(proposal(designs, evidence, self._target))
         page.append(*evidence_sections(evidence))
@@ -180,7 +166,7 @@ class Study(AbstractStudy):
         page.tables.append(certificate_table(designs))
         for bound, values in self._sweeps.items():
             page.step(f"front over {bound}")
-            with executor_of(self._workers) as executor:
+            with executor_of(self.workers) as executor:
                 front = pareto(self._last, bound, values, executor=executor, progress=page.progress, **self.solving)
             self._show(page, designs, evidence, bound, front)
         if self._wishes:
@@ -203,9 +189,9 @@ class Study(AbstractStudy):
         sampled = None
         if not front.interrupted and any(one.ok for one in front.solutions):
             page.step(f"evidence along the {work}")
-            with executor_of(self._workers) as executor:
+            with executor_of(self.workers) as executor:
                 everyone = {"seed": self._seed, "executor": executor, "progress": page.progress}
-                sampled = validate_all(front, self._samples, **everyone)
+                sampled = validate_all(front, self.samples, **everyone)
             page.kept = {**page.kept, "along": {**page.kept.get("along", {}), name: sampled.by_place}}
         known = [*evidence.values(), *(() if sampled is None else sampled.by_place.values())]
         page.append(trade_offs_section(designs, {name: front}, known))
@@ -214,35 +200,116 @@ class Study(AbstractStudy):
             raise KeyboardInterrupt
 
 
-def _checked_wishes(wishes: Mapping[str, Expression] | None) -> dict[str, Expression]:
-    if wishes is None:
-        return {}
-    if not isinstance(wishes, Mapping) or len(wishes) < 2:
-        raise refusal("Study: wishes", "two expressions or more by name", wishes)
-    for name, one in wishes.items():
-        one_of(f"Study: wish '{a_name('Study: the name of a wish', name)}'", one, Expression)
-    return dict(wishes)
+@final
+class SweptStudy(AbstractStudy):
+    """One design of a study, solved again for each value of a bound.
+
+    - `study`: any with `problems`; `design`: one of them by name, the last if it is left out;
+    - `bound`, `values`: as for `al.pareto`; `workers`: processes that solve points (`al.workers`), as many as the
+      study says if it is left out.
+
+    Raises `ProblemError` for a design or a bound that is not there, and for values that are no numbers.
+    """
+
+    def __init__(
+        self,
+        study: AbstractStudy,
+        bound: str,
+        values: Sequence[float],
+        *,
+        design: str | None = None,
+        workers: int | None = None,
+    ):
+        problems = problems_of(study)
+        name = list(problems)[-1] if design is None else design
+        if name not in problems:
+            known = f"expected one of {list(problems)}.{meant(name, problems)}"
+            raise ProblemError(f"The study '{study.title}' has no design '{name}'; {known}")
+        self.title, self.subtitle = f"{study.title}: {name} over {bound}", study.subtitle
+        self._values = _distinct("sweep: values", list(values))
+        if not self._values.size or not np.isfinite(self._values).all():
+            raise refusal("sweep: values", "one finite value of the bound at least", self._values.tolist())
+        _check_sweepable("sweep", problems[name], bound, self._values)
+        self.workers = study.workers if workers is None else whole("sweep: workers", workers)
+        self._name, self._bound = name, bound
+        self.problems, self.solving = {name: problems[name]}, study.solving
+
+    @override
+    def chapter(self, page: Draft) -> None:
+        page.step(f"front over {self._bound}")
+        with executor_of(self.workers) as executor:
+            how = {"executor": executor, "progress": page.progress, **self.solving}
+            front = pareto(self.problems[self._name], self._bound, self._values, **how)
+        places = [point_name(front.bound, value) for value in front.values]
+        points = sorted(zip(front.values.tolist(), places, front.points, strict=True), key=lambda point: point[0])
+        solved = {place: one for _, place, one in points if isinstance(one, Solution) and one.ok}
+        ends = [*solved][:1] + [*solved][-1:]
+        page.recommend(self._verdict(front, solved, ends))
+        if front.points and not solved:
+            page.unsolved.append(_nothing_solved(front))
+        page.append(Section("Points", []))
+        page.add(replace(front_table({"": front}), caption=f"{self._name} over {self._bound}"), printed=True)
+        if front.interrupted:
+            page.add(f"{len(front.values)} of {len(self._values)} points are available.")
+        page.append(*sections({place: solved[place] for place in places if place in ends}, {}, {self._name: front}))
+        page.keep("fronts", {self._name: front})
+
+    def _verdict(self, front: Front, solved: Mapping[str, Solution], ends: Sequence[str]) -> Verdict:
+        """How many points are solved, and the objective at both ends of these."""
+        if front.interrupted and not solved:
+            said = f"No point over {self._bound} was solved before the sweep stopped."
+            return Verdict("caution", "Interrupted", said)
+        if not solved:
+            return Verdict("bad", "Nothing solved", _nothing_solved(front))
+        told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
+        objectives = words([f"{number(solved[end].objective, 4)} at {end}" for end in dict.fromkeys(ends)])
+        level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
+        return Verdict(level, word, f"{told}; the objective is {objectives}.")
 
 
-def _problems(designs: Any) -> dict[str, Problem]:
-    if isinstance(designs, Problem):
-        return {"design": designs}
-    if not isinstance(designs, Mapping) or not designs:
-        raise refusal("Study: designs", "a problem, or several by name", designs)
-    for name, one in designs.items():
-        one_of(f"Study: design '{a_name('Study: the name of a design', name)}'", one, Problem)
-    return dict(designs)
+def _nothing_solved(front: Front) -> str:
+    return f"No point over {front.bound} is solved. The first: {front.points[0].why()}"
 
 
-def study_of(owner: str, declared: Mapping[str, Any]) -> AbstractStudy:
-    """The study that a file declares by its names: `study`, or a `Study` of its problems. Raises `ProblemError`."""
-    study = declared.get("study")
-    if study is not None:
-        return one_of(f"{owner}: study", study, AbstractStudy, "al.Study(problem)")
-    problems = {name: one for name, one in declared.items() if isinstance(one, Problem) and not name.startswith("_")}
-    if not problems:
+@contextmanager
+def executor_of(processes: int | None) -> Iterator[Executor | None]:
+    """So many processes within a block (`al.workers`); none where the work is this one's."""
+    if processes is None:
+        yield None
+        return
+    with workers(processes) as executor:
+        yield executor
+
+
+def problems_of(study: AbstractStudy) -> dict[str, Problem]:
+    """The problems that a study declares. Raises `ProblemError` if there are none, or anything else."""
+    if isinstance(study.problems, Mapping) and not study.problems:
         raise ProblemError(
-            f"{owner}: expected a study, such as `study = al.Study(problem)`, or problems, such as "
-            "`problem = al.Problem(...)`; received neither."
+            f"The study '{study.title}' declares no problems: give its class `problems`, by their names."
         )
-    return Study(problems, title=owner)
+    return _by_name(f"{type(study).__name__}.problems", "problems by their names", study.problems, Problem)
+
+
+def _by_name(what: str, expected: str, given: Any, kind: type[Any], least: int = 1) -> dict[str, Any]:
+    """Things of a kind by their names, so many at least. Raises `ProblemError` for anything else."""
+    if not isinstance(given, Mapping) or len(given) < least:
+        raise refusal(what, expected, given)
+    return {a_name(f"{what}: a key", name): one_of(f"{what}: '{name}'", one, kind) for name, one in given.items()}
+
+
+def _distinct(what: str, values: Any) -> np.ndarray:
+    """Values of a bound, each once, in the order in which they are given. Raises `ProblemError` for other things."""
+    return np.array(list(dict.fromkeys(np.ravel(real_array(what, values)).tolist())))
+
+
+def _check_sweepable(what: str, problem: Problem, bound: str, values: np.ndarray) -> None:
+    """Refuse a bound that is not there, or that one number cannot set. Raises `ProblemError`."""
+    limit = words([str(one) for one in problem.named(bound)])
+    for value in values.tolist():
+        try:
+            problem.with_bound(bound, value)
+        except ProblemError as error:
+            raise ProblemError(
+                f"{what}: {value:g} alone cannot be the bound of '{bound}', which is {limit}: sweep a limit of one "
+                "side, or write each side in the study as a limit with a name of its own."
+            ) from error

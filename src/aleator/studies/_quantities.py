@@ -19,7 +19,6 @@ _QUANTITY = re.compile(
 )
 # A percentage of a value, which is no factor of its unit. What is per percent, or percent per something, is a unit.
 _SHARE = re.compile(r"(?<!/)(?<!/ )(?P<percent>%|‰|\b(?:percent|permille|ppm)\b)(?!\s*/)\s*")
-_SHARES = {"%": 1e-2, "percent": 1e-2, "‰": 1e-3, "permille": 1e-3, "ppm": 1e-6}
 _TOLERANCE_IN_UNIT = re.compile(r"[±+]|(?<![\w^(*])-")
 _NUMBER_IN_UNIT = re.compile(r"/\s*\d|[*,]|(?!1\s*/)\d")
 
@@ -43,7 +42,8 @@ def amount(text: float | str, unit: str) -> float | Toleranced:
     zone = _zone(found, text)
     is_absolute = share and given == share["percent"] and _is_pure(unit) and (len(zone) == 1 or repeated == given)
     if share and given != unit and not is_absolute:
-        raise _no_share(text, zone, share["percent"], repeated or _SHARE.sub("", given).strip(" ·*") or unit, unit)
+        example = _written({"nominal": 50.0, "tolerance": 10.0}, unit)
+        raise ProblemError(f"expected absolute amounts, such as {example}, no percentage; received '{text}'.")
     scale = _scale(given, unit, zone)
     scaled: dict[str, Any] = {name: _finite(scale * number, text) for name, number in zone.items()}
     return Toleranced(**scaled) if len(zone) > 1 else scaled["nominal"]
@@ -71,21 +71,6 @@ def _written(zone: Mapping[str, float], unit: str) -> str:
 def _is_pure(unit: str) -> bool:
     found = measure(unit)
     return found is not None and not found.powers
-
-
-def _no_share(text: str, zone: Mapping[str, float], percent: str, unit: str, wanted: str) -> ProblemError:
-    """The refusal of a percentage of a value: nobody can tell of what it is, or whether the value is one too."""
-    nominal, factor = zone["nominal"], _SHARES[percent]
-    if len(zone) == 1:
-        example = _written({"nominal": 3.0}, wanted)
-        return ProblemError(f"expected an absolute amount, such as {example}, no percentage; received '{text}'.")
-    absolute = {name: number * factor * abs(nominal) for name, number in zone.items()} | {"nominal": nominal}
-    written = [_written(absolute, unit)]
-    if _is_pure(wanted):
-        written.append(_written({name: number * factor for name, number in zone.items()}, wanted))
-    return ProblemError(
-        f"expected tolerances in the unit of the value; received '{text}'. Write {' or '.join(written)}."
-    )
 
 
 def _no_tolerances(text: str) -> ProblemError:

@@ -4,6 +4,7 @@ import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, final, get_args
 
 from typing_extensions import override
@@ -34,7 +35,11 @@ _TERMS, _LEFT_OUT = ("Term", "Meaning"), "Left out"
 class AbstractStudy(abc.ABC):
     """A case study: a title, the problems behind its designs, and a chapter that solves them and writes the page.
 
-    - `title`, `subtitle`: of the page; `glossary`: its terms and their meanings.
+    - `title`, `subtitle`: of the page; `glossary`: its terms and their meanings;
+    - `left_out`: the parts that a quick run skips, in words;
+    - `problems`: those behind its designs by name, for `aleator check`, `sweep` and `validate`; `solving`: how they are
+      solved, arguments of `al.solve` by name;
+    - `workers`: how many processes share its solves (`al.workers`); None if this one does all.
 
     The chapter is run again on what is in a folder (`aleator resume`, `aleator report`): what takes long in it goes
     through a verb that a journal keeps, such as `solve` and `validate`, or through `aleator.extending.kept`.
@@ -43,6 +48,10 @@ class AbstractStudy(abc.ABC):
     title: str = "A case study"
     subtitle: str = ""
     glossary: Sequence[tuple[str, str]] = ()
+    left_out: str = ""
+    problems: Mapping[str, Problem] = MappingProxyType({})
+    solving: Mapping[str, Any] = MappingProxyType({})
+    workers: int | None = None
 
     @abc.abstractmethod
     def chapter(self, page: "Draft") -> None:
@@ -50,26 +59,6 @@ class AbstractStudy(abc.ABC):
 
         Nothing in it deals with incomplete results: Ctrl-C and exceptions end it, and the page so far is written.
         """
-
-    @property
-    def left_out(self) -> str:
-        """The parts that a quick run skips, in words; empty by default."""
-        return ""
-
-    @property
-    def problems(self) -> Mapping[str, Problem]:
-        """The problems behind its designs by name, for `aleator check`, `sweep` and `validate`; none by default."""
-        return {}
-
-    @property
-    def solving(self) -> Mapping[str, Any]:
-        """How its problems are solved: arguments of `al.solve` by name, of its solver and transcription."""
-        return {}
-
-    @property
-    def workers(self) -> int | None:
-        """How many processes share its solves (`al.workers`); None if this one does all, as by default."""
-        return None
 
     def with_workers(self, count: int) -> "AbstractStudy":
         """The same study, whose solves are shared by `count` processes. Raises `ProblemError` if it shares none."""
@@ -81,9 +70,8 @@ class AbstractStudy(abc.ABC):
     def check_declaration(self) -> None:
         """Refuse an invalid declaration before anything is computed. Raises `ProblemError`, naming the member."""
         name = type(self).__name__
-        one_of(f"{name}.title", self.title, str)
-        one_of(f"{name}.subtitle", self.subtitle, str)
-        one_of(f"{name}.left_out", self.left_out, str)
+        for member in ("title", "subtitle", "left_out"):
+            one_of(f"{name}.{member}", getattr(self, member), str)
         Table(f"{name}.glossary", _TERMS, self.glossary)
 
 
@@ -97,16 +85,7 @@ class CaseStudy(AbstractStudy):
     def __init__(self, module: Any, *, quick: bool = False):
         self._module, self._quick = module, quick
         self.title, self.subtitle, self.glossary = module.TITLE, module.SUBTITLE, module.GLOSSARY
-
-    @property
-    @override
-    def left_out(self) -> str:
-        return self._module.LEFT_OUT if self._quick else ""
-
-    @property
-    @override
-    def problems(self) -> Mapping[str, Problem]:
-        return self._module.problems()
+        self.left_out, self.problems = module.LEFT_OUT if quick else "", module.problems()
 
     @override
     def chapter(self, page: "Draft") -> None:
@@ -121,7 +100,7 @@ def _unwatched(heading: str) -> None:
 class Draft:
     """The page of a study in the making; it only grows, so that what is on it stands whatever ends the chapter.
 
-    - `progress`: for the verbs that take one;
+    - `study`: whose page it is; `progress`: for the verbs that take one;
     - `kept`: results by name, as `aleator.extending.save` takes them; `tables`: those to print at the end;
     - `finished`: completed sections and steps; `present`: the one in work, empty between them;
     - `stopped`: whether Ctrl-C, or a result that is not there, ended the chapter; `failures`: a sentence for each
@@ -130,7 +109,7 @@ class Draft:
     """
 
     def __init__(self, study: AbstractStudy):
-        self._study, self._sections = study, list[Section]()
+        self.study, self._sections = study, list[Section]()
         self._recommended: Verdict | None = None
         self._begun = self._ended = _unwatched
         self.progress: Progress = silent
@@ -186,11 +165,6 @@ class Draft:
 
     # --- What a command calls ------------------------------------------------------------------------------------
 
-    @property
-    def title(self) -> str:
-        """That of the study."""
-        return self._study.title
-
     def fill(
         self,
         progress: Progress = silent,
@@ -200,8 +174,8 @@ class Draft:
         """Run the chapter; raises what ends it early, after noting that."""
         self.progress, self._begun, self._ended = progress, begun, ended
         try:
-            self._study.check_declaration()
-            self._study.chapter(self)
+            self.study.check_declaration()
+            self.study.chapter(self)
             self._end_step()
         except KeyboardInterrupt:
             self.stopped = True
@@ -237,9 +211,9 @@ class Draft:
 
     def page(self) -> Page:
         """The page so far: the recommendation, how the run ended, the sections, and how to read them."""
-        glossary = [Table("Glossary", _TERMS, self._study.glossary)] if self._study.glossary else []
+        glossary = [Table("Glossary", _TERMS, self.study.glossary)] if self.study.glossary else []
         ended = Section("This run", [Text([self._end()])] if self.stopped or self.failures else [])
-        about = self.title, self._study.subtitle, self._verdict()
+        about = self.study.title, self.study.subtitle, self._verdict()
         return whole_page(*about, [ended, *self._sections], self.kept, glossary)
 
     def _end_step(self) -> None:
@@ -263,7 +237,7 @@ class Draft:
                 ("Stopped early", self._end()) if self.stopped else ("No recommendation", "The study makes none.")
             )
             return Verdict("caution", word, f"Nothing to build yet. {why}")
-        if not (skipped := self._study.left_out):
+        if not (skipped := self.study.left_out):
             return verdict
         return replace(verdict, rows=[*verdict.rows, (_LEFT_OUT, f"This was a quick run, without {skipped}.")])
 

@@ -1,16 +1,19 @@
-"""Study files: TOML that names a problem and overrides its numbers, with quantities in units of their own."""
+"""Study files: TOML that names a problem and overrides its numbers, with quantities in units of their own.
+
+What a file may say are pydantic models, whose JSON Schema lets editors complete it.
+"""
 
 import inspect
 import re
-import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from aleator import solvers, uncertainty
 from aleator._core.border import content_of, meant
@@ -18,20 +21,138 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem, declared_anew, deterministic, units_of
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver
+from aleator.reporting import TARGET
 from aleator.studies._own import Study
 from aleator.studies._quantities import amount, plain
 from aleator.uncertainty import Decision, fields_of
 
 Result = TypeVar("Result")
-_KIND = re.compile(r"[<\[]|^(float|str|constrained-\w+)$")
-# What pydantic says, in our words.
-_SAID = {
-    "missing": "is missing",
-    "extra_forbidden": "is unknown",
-    "literal_error": "is none of the names that may stand there",
-}
-# Parameters of distributions that are pure numbers.
-_PURE = ("alpha", "beta", "shape", "cp", "cpk", "sigmas")
+
+
+# --- What a file may say ---------------------------------------------------------------------------------------------
+
+# Texts and truth values are no numbers.
+Real: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Truth: TypeAlias = Annotated[bool, Field(strict=True)]
+Quantity: TypeAlias = Annotated[
+    Real | Annotated[str, Field(strict=True)],
+    Field(description='A number in the unit of the model, or with its own: "30 kN/m".'),
+]
+Whole: TypeAlias = Annotated[int, Field(strict=True)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=False)
+
+
+class DecisionTable(_Table):
+    """A number that is decided: `{ start = "30 kN/m", lower = "20 kN/m", upper = "90 kN/m" }`."""
+
+    start: Quantity
+    lower: Quantity | None = None
+    upper: Quantity | None = None
+
+
+def _kind(value: Any) -> str:
+    """What a value of the model is meant to be, so that errors speak of that alone."""
+    if isinstance(value, dict):
+        return "<distribution>" if "distribution" in value else "<decision>"
+    return "<quantity>"
+
+
+_NUMBERS = Annotated[DecisionTable, Tag("<decision>")] | Annotated[Quantity, Tag("<quantity>")]
+
+
+class DistributionTable(BaseModel):
+    """A number that is uncertain: `{ distribution = "Uniform", mean = "2 kg", half_width = "0.1 kg" }`."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[_NUMBERS, Discriminator(_kind)]]  # pyright: ignore
+    distribution: Literal[
+        "Uniform",
+        "Normal",
+        "Beta",
+        "Gamma",
+        "LogNormal",
+        "Triangular",
+        "TruncatedNormal",
+        "Toleranced",
+        "Exponential",
+        "Gumbel",
+        "Weibull",
+    ]
+
+
+class GridTable(_Table):
+    """Another grid: `t_final`, `steps`, or both."""
+
+    t_final: Quantity | None = None
+    steps: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None
+
+
+class ExpansionTable(_Table):
+    """Another order of the expansion."""
+
+    order: Annotated[Whole, Field(ge=0, le=50)]
+
+
+class SolverTable(BaseModel):
+    """A solver by its name, with its options."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Truth | Whole | Real]  # pyright: ignore
+    name: Literal[
+        "FilterSQP",
+        "Ipopt",
+        "Slsqp",
+        "InteriorPoint",
+        "NelderMead",
+        "Direct",
+        "DifferentialEvolution",
+        "DualAnnealing",
+        "CmaEs",
+    ]
+
+
+_VALUE = Annotated[_NUMBERS | Annotated[DistributionTable, Tag("<distribution>")], Discriminator(_kind)]
+
+
+class StudyFile(_Table):
+    """A study: a problem by the name of its module, and what is different from it."""
+
+    problem: Annotated[str, Field(description="The problem, or a function that makes it: `package.module:name`.")]
+    title: str = ""
+    subtitle: str = ""
+    samples: Annotated[Whole, Field(ge=2, le=10_000_000_000)] = 20_000
+    seed: Annotated[Whole, Field(ge=0)] = 0
+    target: Annotated[Real, Field(gt=0, lt=1, description="The largest share of systems that may break a limit.")] = (
+        TARGET
+    )
+    workers: Annotated[Whole, Field(ge=1, le=10_000)] | None = None
+    deterministic: Annotated[Truth, Field(description="Solve the problem at the means too, for comparison.")] = False
+    model: Annotated[
+        dict[str, _VALUE], Field(description="Numbers, distributions and decisions by the names of the model's fields.")
+    ] = {}
+    limits: Annotated[
+        dict[str, Quantity | tuple[Quantity, Quantity]], Field(description="Bounds by the names of constraints.")
+    ] = {}
+    sigmas: Annotated[
+        dict[str, Annotated[Real, Field(gt=0)]], Field(description="Margins by the names of constraints.")
+    ] = {}
+    sweeps: Annotated[
+        dict[str, Annotated[list[Quantity], Field(min_length=1)]], Field(description="Values of bounds for fronts.")
+    ] = {}
+    grid: GridTable | None = None
+    expansion: ExpansionTable | None = None
+    solver: SolverTable | None = None
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of study files, by which editors complete them."""
+    return StudyFile.model_json_schema()
+
+
+# --- The file --------------------------------------------------------------------------------------------------------
 
 
 class _File(NamedTuple):
@@ -56,32 +177,41 @@ class _File(NamedTuple):
 
 
 def load_toml(path: Path, loaded: Callable[[str], Any]) -> Study:
-    """The study of a TOML file, whose problem `loaded` gives by its name; modules beside the file count.
+    """The study of a TOML file, whose problem `loaded` gives by its name; modules beside the file can be imported.
 
     Raises `ProblemError`: one sentence with the file, the line, the key, what was expected and the nearest valid name.
     """
-    file = _read(path)
+    try:
+        file = _File(path, content_of(path).decode("utf-8"))
+    except FileNotFoundError as error:
+        raise ProblemError(f"There is no file '{path}'.") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ProblemError(f"'{path}' cannot be read as text in UTF-8 ({error}).") from error
     data = _checked(file)
-    folder = str(path.parent.resolve())
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    problem = _changed(file, data, file.about(["problem"], _one_problem, data.problem, loaded))
+    problem = file.about(["problem"], _one_problem, data.problem, loaded)
+    for table, change in _CHANGES.items():
+        for key, value in _items(getattr(data, table)):
+            problem = file.about([table, key] if key else [table], change, problem, key, value)
     sweeps = {name: file.about(["sweeps", name], _swept, problem, name, values) for name, values in data.sweeps.items()}
     solver = None if data.solver is None else file.about(["solver"], _solver_of, data.solver)
+    options = {name: getattr(data, name) for name in ("subtitle", "samples", "seed", "target", "workers")}
     return file.about(
         [],
         lambda: Study(
             {"nominal": deterministic(problem), "robust": problem} if data.deterministic else problem,
             title=data.title or path.stem.replace("_", " ").capitalize(),
-            subtitle=data.subtitle,
-            samples=data.samples,
-            seed=data.seed,
-            target=data.target,
             sweeps=sweeps,
             solver=solver,
-            workers=data.workers,
+            **options,
         ),
     )
+
+
+def _items(table: Any) -> Sequence[tuple[str, Any]]:
+    """The entries of a table of names, or a table of another kind as a whole."""
+    if isinstance(table, Mapping):
+        return list(table.items())
+    return [] if table is None else [("", table)]
 
 
 def _one_problem(name: str, loaded: Callable[[str], Any]) -> Problem:
@@ -92,61 +222,27 @@ def _one_problem(name: str, loaded: Callable[[str], Any]) -> Problem:
     return problem
 
 
-def _changed(file: _File, data: Any, problem: Problem) -> Problem:
-    """The problem with all that the file says otherwise."""
-    for name, value in data.model.items():
-        problem = file.about(["model", name], _overridden, problem, name, value)
-    if data.grid is not None:
-        problem = file.about(["grid"], _on_grid, problem, data.grid.t_final, data.grid.steps)
-    if data.expansion is not None:
-        problem = file.about(["expansion", "order"], _expanded, problem, data.expansion.order)
-    for name, bound in data.limits.items():
-        problem = file.about(["limits", name], _limited, problem, name, bound)
-    for name, sigmas in data.sigmas.items():
-        problem = file.about(["sigmas", name], problem.with_sigmas, name, sigmas)
-    return problem
-
-
-def _read(path: Path) -> _File:
+def _checked(file: _File) -> StudyFile:
     try:
-        return _File(path, content_of(path).decode("utf-8"))
-    except FileNotFoundError as error:
-        raise ProblemError(f"There is no file '{path}'.") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ProblemError(f"'{path}' cannot be read as text in UTF-8 ({error}).") from error
-
-
-def _checked(file: _File) -> Any:
-    from pydantic import ValidationError
-
-    from aleator.studies._toml_schema import StudyFile
-
-    try:
-        data = tomllib.loads(file.text)
+        return StudyFile.model_validate(tomllib.loads(file.text))
     except tomllib.TOMLDecodeError as error:
         raise ProblemError(f"{file.path}: expected TOML; {error}.") from error
     except RecursionError as error:
         raise ProblemError(f"{file.path}: expected TOML; it is nested too deeply.") from error
-    try:
-        return StudyFile.model_validate(data)
     except ValidationError as error:
-        raise _first(file, error.errors(include_url=False), StudyFile.model_fields) from None
-
-
-def _first(file: _File, errors: Sequence[Any], known: Mapping[str, Any]) -> ProblemError:
-    """The error about the first thing that is wrong."""
-    one = errors[0]
+        first = error.errors(include_url=False)[0]
     # Without the names of alternatives, of which pydantic tells one by one.
-    place = [part for part in one["loc"] if not (isinstance(part, str) and _KIND.search(part))]
-    said = _SAID.get(one["type"], "")
-    name = str(place[-1]) if place else ""
-    if one["type"] == "extra_forbidden":
-        beside = known if len(place) == 1 else {}
-        return file.refusal(place, f"{said}.{meant(name, list(beside))}")
-    if one["type"] == "missing":
-        return file.refusal(place, f"{said}: the file needs it.")
-    message = one["msg"][0].lower() + one["msg"][1:]
-    return file.refusal(place, f"{message}; received {one['input']!r:.80}.")
+    place = [part for part in first["loc"] if not (isinstance(part, str) and _KIND.search(part))]
+    if first["type"] == "extra_forbidden":
+        known = list(StudyFile.model_fields) if len(place) == 1 else []
+        raise file.refusal(place, f"is unknown.{meant(str(place[-1]), known)}")
+    if first["type"] == "missing":
+        raise file.refusal(place, "is missing: the file needs it.")
+    message = first["msg"][0].lower() + first["msg"][1:]
+    raise file.refusal(place, f"{message}; received {first['input']!r:.80}.")
+
+
+_KIND = re.compile(r"[<\[]|^(float|str|constrained-\w+)$")
 
 
 def _line_of(text: str, place: Sequence[str | int]) -> int:
@@ -169,104 +265,89 @@ def _line_of(text: str, place: Sequence[str | int]) -> int:
     return best
 
 
+# --- What a file changes ---------------------------------------------------------------------------------------------
+
+
 def _overridden(problem: Problem, name: str, value: Any) -> Problem:
     """The problem with another number, distribution or decision in the place of a field of its model."""
     system = problem.simulation.system
-    fields = {place: (field, now) for place, field, now in fields_of(system)}
-    if name not in fields:
-        raise ProblemError(f"the model has no number of this name.{meant(name, list(fields))}")
-    field, _ = fields[name]
-    new = _leaf(value, field.metadata.get("unit", ""))
-    path = name.split(".")
+    units = {place: field.metadata.get("unit", "") for place, field, _ in fields_of(system)}
+    if name not in units:
+        raise ProblemError(f"the model has no number of this name.{meant(name, list(units))}")
 
     def where(tree: Any) -> Any:
-        for part in path:
+        for part in name.split("."):
             tree = tree[part] if isinstance(tree, dict) else tree[int(part)] if part.isdigit() else getattr(tree, part)
         return tree
 
-    changed = eqx.tree_at(where, system, new, is_leaf=lambda node: node is None)
+    changed = eqx.tree_at(where, system, _leaf(value, units[name]), is_leaf=lambda node: node is None)
     return declared_anew(problem, replace(problem.simulation, system=changed))
 
 
 def _leaf(value: Any, unit: str) -> Any:
-    if hasattr(value, "distribution"):
-        return _distribution(value, unit)
-    if hasattr(value, "start"):
-        return _decision(value, unit)
+    """A quantity, a decision or a distribution in the unit of the model."""
+    if isinstance(value, DecisionTable):
+        lower = -np.inf if value.lower is None else plain(value.lower, unit)
+        upper = np.inf if value.upper is None else plain(value.upper, unit)
+        return Decision(plain(value.start, unit), lower, upper)
+    if isinstance(value, DistributionTable):
+        family = getattr(uncertainty, value.distribution)
+        options = value.__pydantic_extra__ or {}
+        _check_known(value.distribution, "parameter", options, family, "unnamed", "shared_name")
+        return family(**{name: _parameter(name, one, unit) for name, one in options.items()})
     return amount(value, unit)
 
 
-def _decision(table: Any, unit: str) -> Decision:
-    lower = -np.inf if table.lower is None else plain(table.lower, unit)
-    upper = np.inf if table.upper is None else plain(table.upper, unit)
-    return Decision(plain(table.start, unit), lower, upper)
-
-
-def _distribution(table: Any, unit: str) -> Any:
-    family = getattr(uncertainty, table.distribution)
-    given = {
-        name: _decision(one, unit) if hasattr(one, "start") else _parameter(name, one, unit)
-        for name, one in (table.__pydantic_extra__ or {}).items()
-    }
-    known = [name for name in inspect.signature(family).parameters if name not in ("unnamed", "shared_name")]
-    for name in given:
-        if name not in known:
-            raise ProblemError(f"{table.distribution} has no parameter '{name}'; expected some of {known}.")
-    return family(**given)
-
-
-def _parameter(name: str, value: Any, unit: str) -> float:
-    """A parameter of a distribution."""
-    if name in _PURE and isinstance(value, str):
+def _parameter(name: str, value: Any, unit: str) -> Any:
+    """A parameter of a distribution; some are pure numbers."""
+    unit = "" if (is_pure := name in ("alpha", "beta", "shape", "cp", "cpk", "sigmas")) else unit
+    if is_pure and isinstance(value, str):
         raise ProblemError(f"{name}: expected a number; received the text '{value}'. Leave out the quotation marks.")
-    return plain(value, "" if name in _PURE else unit)
+    return _leaf(value, unit) if isinstance(value, DecisionTable) else plain(value, unit)
+
+
+def _check_known(owner: str, what: str, options: Mapping[str, Any], family: Any, *without: str) -> None:
+    known = [name for name in inspect.signature(family).parameters if name not in without]
+    for name in options:
+        if name not in known:
+            raise ProblemError(f"{owner} has no {what} '{name}'.{meant(name, known)} Expected some of {known}.")
 
 
 def _limited(problem: Problem, name: str, bound: Any) -> Problem:
-    """The problem with another bound."""
-    unit = _unit(problem, name)
-    if isinstance(bound, tuple):
-        lower, upper = (plain(one, unit) for one in bound)
-        return problem.with_bound(name, (lower, upper))
-    return problem.with_bound(name, plain(bound, unit))
+    both = _swept(problem, name, bound if isinstance(bound, tuple) else [bound])
+    return problem.with_bound(name, (both[0], both[1]) if isinstance(bound, tuple) else both[0])
 
 
 def _swept(problem: Problem, name: str, values: Sequence[Any]) -> list[float]:
-    """Values of a bound."""
-    return [plain(one, _unit(problem, name)) for one in values]
-
-
-def _unit(problem: Problem, name: str) -> str:
+    """Values of a bound, in its unit."""
     expression = problem.named(name)[0].expression
-    return expression.unit(units_of(expression, problem))
+    return [plain(one, expression.unit(units_of(expression, problem))) for one in values]
 
 
-def _on_grid(problem: Problem, t_final: Any, steps: int | None) -> Problem:
-    """The problem on another grid."""
+def _on_grid(problem: Problem, _: str, table: GridTable) -> Problem:
     grid = problem.grid
     if not isinstance(grid, Grid):
         raise ProblemError("expected a model with one grid; received one without time, or in phases.")
-    changed = Grid(grid.t_final if t_final is None else plain(t_final, "s"), grid.steps if steps is None else steps)
+    t_final = grid.t_final if table.t_final is None else plain(table.t_final, "s")
+    changed = Grid(t_final, grid.steps if table.steps is None else table.steps)
     return declared_anew(problem, replace(problem.simulation, grid=changed))
 
 
-def _expanded(problem: Problem, order: int) -> Problem:
-    """The problem with another order of its expansion."""
-    return eqx.tree_at(lambda tree: tree.expansion, problem, replace(problem.expansion, order=order))
+def _expanded(problem: Problem, _: str, table: ExpansionTable) -> Problem:
+    return eqx.tree_at(lambda tree: tree.expansion, problem, replace(problem.expansion, order=table.order))
 
 
-def _solver_of(table: Any) -> AbstractSolver:
-    """A solver by its name, with its options."""
+def _solver_of(table: SolverTable) -> AbstractSolver:
     family, options = getattr(solvers, table.name), dict(table.__pydantic_extra__ or {})
-    known = list(inspect.signature(family).parameters)
-    for name in options:
-        if name not in known:
-            raise ProblemError(f"{table.name} has no option '{name}'.{meant(name, known)} Expected some of {known}.")
+    _check_known(table.name, "option", options, family)
     return family(**options)
 
 
-def schema() -> dict[str, Any]:
-    """The JSON Schema of study files, by which editors complete them."""
-    from aleator.studies._toml_schema import StudyFile  # pydantic is imported late
-
-    return StudyFile.model_json_schema()
+# How each table of a file changes the problem, in this order.
+_CHANGES: Mapping[str, Callable[[Problem, str, Any], Problem]] = {
+    "model": _overridden,
+    "grid": _on_grid,
+    "expansion": _expanded,
+    "limits": _limited,
+    "sigmas": Problem.with_sigmas,
+}

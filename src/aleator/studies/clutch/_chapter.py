@@ -35,7 +35,7 @@ from aleator.reporting import (
     side_by_side,
     words,
 )
-from aleator.studies._shared import stored
+from aleator.studies._shared import picture, stored
 from aleator.studies._study import Draft
 from aleator.studies.clutch import (
     COST,
@@ -58,7 +58,6 @@ from aleator.studies.clutch import (
     worst_case,
     worst_case_tolerances,
 )
-from aleator.studies.clutch._drawing import clutch_drawing
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -123,7 +122,7 @@ def chapter(page: Draft, quick: bool) -> None:
     sizes = "\n".join(f"  {name} = {given(mean)} ± {given(TOLERANCES[name])} mm" for name, mean in MEANS.items())
     beside = [Code("As mathematics", LOOP + sizes, opened=True), Code("The assembly", str(clutch()))]
     told = "A quarter of the clutch, to scale. The angle follows from hub a, roller c and ring e."
-    page.add(Schematic([clutch_drawing()], "The vector loop", told, "7.1", beside))
+    page.add(Schematic([picture("clutch/clutch.svg")], "The vector loop", told, "7.1", beside))
 
     page.section("Table 7.2")
     methods, exact = compared_methods(page.progress, quick), exact_variation()

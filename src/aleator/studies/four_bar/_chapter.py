@@ -32,7 +32,7 @@ from aleator.reporting import (
     violations_table,
     words,
 )
-from aleator.studies._shared import add_second_way, picture, requirements_active, sampled, signed, solved, stored
+from aleator.studies._shared import add_second_way, gathered, picture, requirements_active, sampled, signed, stored
 from aleator.studies._study import Draft
 from aleator.studies.four_bar import (
     COST,
@@ -131,11 +131,13 @@ def chapter(page: Draft, quick: bool) -> None:
         "θ is its angle, τ the motor's torque. "
         "Uncertain: six lengths, the place of each pin in its clearance, and the mass of the tool."
     )
-    beside = [Code(f"The problem of {name} as mathematics", str(problem)) for name, problem in problems().items()]
+    beside = [
+        Code(f"The problem of {name} as mathematics", str(problem)) for name, problem in page.study.problems.items()
+    ]
     page.add(Schematic([picture("four_bar/linkage.svg")], "Hoeken's linkage", told, "", beside))
 
     page.section("The three designs")
-    designs = solved(page, problems())
+    designs = gathered(page, "designs", al.solve, page.study.problems)
     evidence = sampled(page, designs, simulated)
     page.add(designs_table(designs), violations_table(evidence), printed=True)
     chosen: dict[str, Dimensions] = {name: (lengths_of(one), widths_of(one)) for name, one in designs.items()}

@@ -104,13 +104,13 @@ def chapter(page: Draft, quick: bool) -> None:
     starts, samples, systems, trial = (1, 2_000, 400, 2_000) if quick else (4, 20_000, 2_000, 10_000)
 
     page.section("The system")
-    page.add(arm_schematic(PAYLOAD, problems()))
+    page.add(arm_schematic(PAYLOAD, page.study.problems))
 
     page.section("The plans")
     # Deterministic from bent paths; the others from the plan before them, and from these paths as well.
     bent = [{}, *({"torque.free": start_torques(bend)} for bend in BENDS)][:starts]
     searches, plans = dict[str, al.results.Starts](), dict[str, al.Solution]()
-    for name, problem in problems().items():
+    for name, problem in page.study.problems.items():
         if not (quick and name == LEAST):
             earlier = [dict(one.decisions) for one in plans.values()][-1:]
             searches[name] = search(page, name, problem, [*earlier, *bent[len(earlier) :]])

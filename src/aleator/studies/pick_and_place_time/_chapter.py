@@ -82,11 +82,11 @@ def chapter(page: Draft, quick: bool) -> None:
     starts, samples, systems, trial = (3, 4_000, 400, 2_000) if quick else (16, 20_000, 2_000, 10_000)
 
     page.section("The system")
-    page.add(arm_schematic(PAYLOAD, problems()))
+    page.add(arm_schematic(PAYLOAD, page.study.problems))
 
     page.section("The plans")
     # The first from random starts, the robust ones from the optima before them too.
-    searches = {MEAN: search(page, MEAN, problems()[MEAN], starts)}
+    searches = {MEAN: search(page, MEAN, page.study.problems[MEAN], starts)}
     for name, sigmas in MARGINS.items():
         earlier = [dict(one.decisions) for each in searches.values() for one, _ in each.optima[:4]]
         searches[name] = search(page, name, from_plan(sigmas, list(searches.values())[-1].best), earlier)

@@ -20,7 +20,7 @@ from aleator.reporting import (
     signal_figure,
     trajectory_figure,
 )
-from aleator.studies._shared import add_second_way, margin_drawing, picture, sampled, solved, swept
+from aleator.studies._shared import add_second_way, gathered, margin_drawing, picture, sampled
 from aleator.studies._study import Draft
 from aleator.studies.suspension import (
     GRID,
@@ -113,7 +113,10 @@ def chapter(page: Draft, quick: bool) -> None:
             "distribution; means that a design chooses have the index 0. The damper is η times as strong in compression"
             " as in extension.",
             "6.1 and 6.3",
-            [Code(f"The problem of {name} as mathematics", str(problem)) for name, problem in problems().items()],
+            [
+                Code(f"The problem of {name} as mathematics", str(problem))
+                for name, problem in page.study.problems.items()
+            ],
         ),
         Drawing(
             [signal_figure(np.asarray(GRID.times), heights, name="Road height", unit="m")],
@@ -124,7 +127,7 @@ def chapter(page: Draft, quick: bool) -> None:
     )
 
     page.section("The three designs")
-    designs = solved(page, problems())
+    designs = gathered(page, "designs", al.solve, page.study.problems)
     evidence = sampled(page, designs, samples)
     caption = "Points are means, boxes extend one σ to each side. dOpt has no spread, and lies on the holding limit. "
     page.add(designs_table("Decisions, performance and violations", designs, evidence), printed=True)
@@ -155,7 +158,7 @@ def chapter(page: Draft, quick: bool) -> None:
     chosen = designs | {name: one.solution for name, one in built.items()}
 
     page.section("How often cars exceed a narrow travel")
-    narrow = solved(page, narrow_problems(), "narrow")
+    narrow = gathered(page, "narrow", al.solve, narrow_problems())
     narrow_evidence = sampled(page, narrow, samples, "narrow_evidence")
     lessons = {
         "dOpt": ("6.9", "The deterministic design: best for the nominal car, without reserve for the others."),
@@ -174,7 +177,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("Trade-offs of ride")
     shown = list(evidence.values()), chosen["uOpt"]
     nominal_and_robust = {"dOpt": deterministic_problem(), "uOpt": robust_problem()}
-    over_travel = swept(page, "travel_fronts", nominal_and_robust, "travel", np.linspace(0.25, 0.145, points))
+    over_travel = _swept(page, "travel_fronts", nominal_and_robust, "travel", np.linspace(0.25, 0.145, points))
     rides = curves(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
     told = f"{FILLED} {transition(over_travel, 'travel')} Accounting for uncertainty shifts the whole trade-off up; "
     told += "where the curves are flat, holding is active and more travel brings no gain."
@@ -182,7 +185,7 @@ def chapter(page: Draft, quick: bool) -> None:
         linked_front(over_travel, [rides], f"Ride against the travel limit, H = {HOLDING:g} m", told, "6.4", *shown),
         shadow_price(over_travel, "Travel limit R", "centimetre of travel", 0.01, "cm"),
     )
-    over_holding = swept(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
+    over_holding = _swept(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
     rides = curves(over_holding, "Holding limit H", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
     told = f"{FILLED} {transition(over_holding, 'holding')} The robust design changes its active limit first, because "
     told += "its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all limits."
@@ -197,14 +200,14 @@ def chapter(page: Draft, quick: bool) -> None:
             "travel limit, which keeps its mean away from both.",
         ),
     )
-    boxes = swept(page, "boxes", nominal_and_robust, "holding", (0.0305, 0.032, 0.0335, 0.035))
+    boxes = _swept(page, "boxes", nominal_and_robust, "holding", (0.0305, 0.032, 0.0335, 0.035))
     page.add(
         holding_boxes(boxes),
         decision_path(over_holding, float(designs["dOpt"].problem.placements.decisions["k_s.mean"].decision.lower)),
     )
 
     page.section("Apportioned spreads")
-    costs = swept(
+    costs = _swept(
         page, "travel_fronts", {"aOpt": apportionment_problem(ride=RIDE)}, "travel", over_travel["uOpt"].values
     )
     initial = cost(designs["uOpt"])
@@ -239,7 +242,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(published_table(designs, narrow_evidence, costs["aOpt"], over_holding), printed=True)
 
     if not quick:  # one car on 2800 steps: the states of 168 cars would be two million variables
-        add_second_way(page, "dOpt", problems()["dOpt"], most_states=STATES)
+        add_second_way(page, "dOpt", page.study.problems["dOpt"], most_states=STATES)
 
     page.section("Certificate", folded=True)
     page.add(certificate_table(designs), certificate_table({f"{name} (narrow)": one for name, one in narrow.items()}))
@@ -304,6 +307,11 @@ def _cheaper(designs: Mapping[str, al.Solution], built: Mapping[str, al.results.
             f"Where ride has to stay within {given(RIDE, RIDE_UNIT)} as well, the spreads of spring and damper must be "
             f"chosen too, for {dollars(chosen)} instead of {dollars(today)}: see 'The designs to build'."
         )
+
+
+def _swept(page: Draft, group: str, problems: Mapping[str, al.Problem], bound: str, values: Any) -> Any:
+    """The fronts of problems over one bound by their names, kept as a group."""
+    return gathered(page, group, lambda one: al.pareto(one, bound, values, progress=page.progress), problems)
 
 
 def _margin(heading: str, found: al.results.Calibration) -> Drawing:

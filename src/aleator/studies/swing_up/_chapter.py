@@ -40,6 +40,9 @@ from aleator.studies._motion import (
 from aleator.studies._shared import margin_drawing, picture
 from aleator.studies._study import Draft
 from aleator.studies.swing_up import (
+    DEGREE,
+    ENDS,
+    FREE,
     MASS_2,
     SMOOTHING,
     STEPS,
@@ -48,7 +51,6 @@ from aleator.studies.swing_up import (
     deterministic_problem,
     robust_problem,
 )
-from aleator.studies.swing_up._starts import FAMILY_SWINGS, SWINGS, swing
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
 NAMES = (MEAN, ENERGY, EXPECTED, CALIBRATED)
@@ -63,6 +65,19 @@ PENDULUM = Linkage(
     target=(0.0, LENGTH_1 + 1.0),
     scene=Scene(),
 )
+
+STARTS = (
+    (3.0, 6, 0.8, 5),
+    (4.0, 4, -0.8, 5),
+    (3.0, 4, -0.8, 2),
+    (4.0, 4, -0.8, 2),
+    (3.0, 3, 0.8, 2),
+    (4.0, 3, -0.8, 2),
+    (3.0, 5, -0.8, 2),
+)
+"""Duration (s), half swings, their width (rad), and lateness of the rise, for a motion to start a search from."""
+FAMILY_STARTS = ((3.0, 4, -0.8, 2), (3.0, 5, -0.8, 2), (4.0, 3, -0.8, 2), (3.0, 6, -0.8, 5))
+"""The swings from which searches for the whole family start: late and wide ones spread it too far."""
 
 PUBLISHED = {MEAN: 1060.0, EXPECTED: 310.0}
 PUBLISHED_ENDS = {MEAN: ("5.66", "–"), EXPECTED: ("4.46", "0.0032")}
@@ -122,16 +137,16 @@ def chapter(page: Draft, quick: bool) -> None:
             f"To scale, hanging at the start and upright at the target. The mass of the second link in kg: {MASS_2}."
             " Only the first joint is driven; both have friction.",
             "5.8",
-            [Code(f"{name.capitalize()} as mathematics", str(one)) for name, one in problems().items()],
+            [Code(f"{name.capitalize()} as mathematics", str(one)) for name, one in page.study.problems.items()],
         )
     )
 
     page.section("The plans")
     searches, plans = dict[str, al.results.Starts](), dict[str, al.Solution]()
-    for name, problem in problems().items():
+    for name, problem in page.study.problems.items():
         if not (quick and name == ENERGY):
             # From the problem's own start and several swings, and from the optimum before it.
-            swings = [{}, *(swing(*one) for one in (SWINGS if name == MEAN else FAMILY_SWINGS))][:starts]
+            swings = [{}, *(swing(*one) for one in (STARTS if name == MEAN else FAMILY_STARTS))][:starts]
             earlier = [dict(plans[ENERGY].decisions)] if ENERGY in plans else []
             searches[name] = search(page, name, problem, [*earlier, *swings])
             plans[name] = searches[name].best
@@ -197,6 +212,13 @@ def chapter(page: Draft, quick: bool) -> None:
         page.add(margin_drawing(margin, "The margin for a tolerated share of violations", "pendulums"))
 
     add_trust(page, searches, plans)
+
+
+def swing(lasting: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:
+    """A motion that rises `late`, superposed with `halves` half swings of growing width."""
+    fractions = np.linspace(0.0, 1.0, 80)
+    angle = -np.pi * (1 - fractions**late) + width * np.sin(halves * np.pi * fractions) * fractions
+    return {"motion.q1.free": al.fit_control_points(angle, FREE, degree=DEGREE, **ENDS), "t_final": lasting}
 
 
 def margin_problem(plan: al.Solution) -> al.Problem:
