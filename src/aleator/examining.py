@@ -149,7 +149,7 @@ def _told(
 
 def _rows(transcribed: AbstractTranscribed) -> tuple[str, ...]:
     """The objective and each constraint, as mathematics."""
-    return (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+    return (f"objective {transcribed.problem.objective}", *map(str, transcribed.problem.constraints))
 
 
 def _has_tail(expression: Expression) -> bool:

@@ -27,7 +27,7 @@ from aleator.design import (
 from aleator.ensemble import Points, corners_of, in_batches, inputs_at, search
 from aleator.nlp import HELD, Outcome
 from aleator.solution import WorstCase, WorstRealisation
-from aleator.transcription import AbstractTranscribed, Scenarios, germ_box
+from aleator.transcription import AbstractTranscribed, Scenarios, excess_of, germ_box
 from aleator.uncertainty import named_numbers
 
 # Points spread over the box in each search, and the most corners that are tried.
@@ -220,6 +220,5 @@ def idle_scenarios(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[
     parts = transcribed.problem.constraints, transcribed.at(point).constraints, transcribed.scales
     for one, values, scale in zip(*parts, strict=True):
         if is_worst_case(one):
-            beyond = np.maximum(values - float(one.upper), float(one.lower) - values).reshape(-1, len(close))
-            close |= beyond.max(axis=0) > -_IDLE * scale
+            close |= excess_of(one, values).reshape(-1, len(close)).max(axis=0) > -_IDLE * scale
     return ~close

@@ -23,13 +23,13 @@ from aleator._core.executors import check_executor
 from aleator._core.interruption import heeding
 from aleator._core.journalled import journalled
 from aleator._core.parallel import dropped_on_failure
-from aleator.certification import doubts, refinement, unconverged
+from aleator.certification import Held, doubts, refinement, unconverged, with_opinion
 from aleator.design import Problem, deterministic
 from aleator.nlp import HELD, AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
 from aleator.solving._integers import branched
 from aleator.solving._intervals import robust
-from aleator.solving._stages import Held, Stages, with_opinion
+from aleator.solving._stages import Stages
 from aleator.transcription import DEFAULT, OF_ROUNDING, AbstractTranscription, started_from
 from aleator.uncertainty import intervals_of, tables_of
 
