@@ -6,8 +6,9 @@ order) costs a second of a processor for `Bar`, three for `Gain`, six for `Oscil
 `optimum` finds an optimum without the checks of an answer, for tests that look at nothing else.
 """
 
+import inspect
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -341,6 +342,15 @@ def cases(values: Iterable[Any], first: int = CASES) -> list[Any]:
     """The parameters of a family, such as its seeds: the first of them by default, the others if slow."""
     rows = (value if isinstance(value, tuple) else (value,) for value in values)
     return [pytest.param(*row, marks=[pytest.mark.slow] * (i >= first)) for i, row in enumerate(rows)]
+
+
+def algebraic(outputs: Callable[..., dict[str, Any]]) -> type[Any]:
+    """The algebraic systems whose outputs are a function of their numbers, which have the names of its arguments."""
+    arguments = inspect.signature(outputs).parameters
+    own: dict[str, Any] = {"__annotations__": dict.fromkeys(arguments, al.Number)}
+    own |= {name: one.default for name, one in arguments.items() if one.default is not one.empty}
+    own |= {"outputs": lambda self: outputs(*(getattr(self, name) for name in arguments))}
+    return type(al.AlgebraicSystem)("Algebraic", (al.AlgebraicSystem,), own)
 
 
 class Optimum(NamedTuple):

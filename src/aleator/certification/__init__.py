@@ -21,7 +21,6 @@ from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts
 from aleator.certification._solution import solution_of as solution_of
 from aleator.certification._solution import with_opinion as with_opinion
-from aleator.certification._worst_case import REACHED as REACHED
 from aleator.certification._worst_case import Oracle as Oracle
 from aleator.certification._worst_case import broken_at as broken_at
 from aleator.certification._worst_case import idle_scenarios as idle_scenarios

@@ -95,12 +95,11 @@ def instantaneous_rows(
         return values, (values, tuple(samples.values()), taken)
 
     slopes, (values, samples, taken) = jax.vmap(lambda one: _differentiated(row, one))(now.rows)
-    derivatives = jnp.einsum("trk,tkn->rtn", slopes, inner)
-    ends = np.cumsum(sizes)[:-1]
-    parts = jnp.split(values.T, ends), jnp.split(derivatives, ends), taken
+    derivatives = jnp.einsum("trk,tkn->trn", slopes, inner)
+    parts = (jnp.split(every, np.cumsum(sizes)[:-1], axis=1) for every in (values, derivatives))
     return [
-        Block(jnp.ravel(one.T), jnp.moveaxis(along, 0, 1).reshape(-1, along.shape[-1]), own)
-        for one, along, own in zip(*parts, strict=True)
+        Block(jnp.ravel(one), along.reshape(-1, decisions.size), own)
+        for one, along, own in zip(*parts, taken, strict=True)
     ], dict(zip(instant.functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True))
 
 
