@@ -2,6 +2,7 @@
 simulation failed.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,13 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator import _core
+from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWarning, GridWarning
 from aleator.certification._check import Check, certain
 from aleator.certification._grids import at_half_width
 from aleator.certification._second_opinion import second_opinion
 from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
 from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, PiecewiseBasis, unseen
-from aleator.nlp import Outcome, Status, missed_slope
+from aleator.nlp import HELD, Outcome, Status, missed_slope
 from aleator.solution import (
     MOST_NUMBERS,
     Between,
@@ -26,14 +28,13 @@ from aleator.solution import (
     ExpansionQuality,
     GridError,
     Moments,
-    SecondOpinion,
     Solution,
     Times,
     WorstCase,
     system_text,
 )
 from aleator.statistics import Covariance, Mean, Std, Variance
-from aleator.transcription import AbstractTranscribed, Meaning, as_read
+from aleator.transcription import OF_ROUNDING, AbstractTranscribed, Meaning, as_read
 from aleator.uncertainty import correlations_at
 
 # The relative error of an expansion that is tolerated for moments and derivatives.
@@ -211,9 +212,10 @@ def _untrusted(solution: Solution) -> str:
     return max(missed, key=lambda one: one[0])[1]
 
 
-def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str]:
-    """Why the statistics of an expansion cannot be trusted, a sentence each; empty if they can."""
-    sentences = []
+def doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
+    """What is warned of: sentences with the kinds of their warnings."""
+    certificate = solution.certificate
+    quality, opinion, sentences = certificate.expansion, certificate.opinion, []
     if not quality.is_conditioned:
         sentences.append(
             f"The collocation matrix has condition number {quality.condition_number:.1e} (limit "
@@ -233,7 +235,33 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
         )
     if opinion is not None and not opinion.agrees:
         sentences.append(f"{opinion}. {opinion.remedy}")
-    return sentences
+    if sentences and solution.status is not Status.EVALUATION_FAILED:
+        yield ExpansionWarning, f"{'. '.join(sentences)}, and compare with al.validate"
+    if certificate.correlations:
+        yield CorrelationWarning, certificate.correlations
+    if not solution.ok:
+        return
+    for one in solution.constraints:
+        largest = float(np.max(np.abs(one.values)))
+        if one.scale == OF_ROUNDING and 0 < largest <= HELD * OF_ROUNDING:
+            yield (
+                AleatorWarning,
+                f"constraint '{one.name}' is taken to hold: its values, {largest:.2g} at most, count as rounding of "
+                "zero. If they mean something, let the output be in a smaller unit",
+            )
+    mesh, error, between = solution.mesh, certificate.grid_error, certificate.between
+    if mesh is not None and not mesh.is_met:
+        yield (
+            GridWarning,
+            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, "
+            "declare the jump (al.StepFunction) or make it smooth; or ask for less",
+        )
+    if error is not None and not error.is_met:
+        yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
+    if certificate.smoothing is not None and certificate.smoothing.broken:
+        yield GridWarning, str(certificate.smoothing)
+    if between is not None and between.is_costly:
+        yield GridWarning, str(between)
 
 
 def _lost_derivatives(held: Held, multipliers: Float[np.ndarray, " rows"]) -> str:
