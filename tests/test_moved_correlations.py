@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 import aleator as al
-from zoo import optimum
+from zoo import algebraic, optimum
 
-
-class Sum(al.AlgebraicSystem):
-    a: al.Number
-    b: al.Number
-
-    def outputs(self):
-        return {"y": self.a + self.b}
+Sum = algebraic(lambda a, b: {"y": a + b})
 
 
 def problem(first, second, rho=0.6):

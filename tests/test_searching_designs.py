@@ -13,21 +13,15 @@ import aleator as al
 from aleator.extending import save
 from aleator.nlp import FilterSQP
 from aleator.transcription import transcribe
-from zoo import cases
+from zoo import algebraic, cases
 
 POPULATION = al.solvers.DifferentialEvolution(evaluations=600, population=24)
 
 
-class Waves(al.AlgebraicSystem):
+@algebraic
+def waves(phase, other, level):
     """A wave in one decision, with many minima, and a level that is uncertain; `rounded` jumps."""
-
-    phase: al.Number
-    other: al.Number
-    level: al.Number
-
-    def outputs(self):
-        wave = self.level * (jnp.sin(3.0 * self.phase) + 0.1 * self.phase)
-        return {"x": wave, "rounded": jnp.round(self.phase), "other": self.other}
+    return {"x": level * (jnp.sin(3.0 * phase) + 0.1 * phase), "rounded": jnp.round(phase), "other": other}
 
 
 X = al.output("x")
@@ -35,7 +29,7 @@ X = al.output("x")
 
 def declared(lowest=-5.0, phase=(3.0, 0.0, 6.0), minimize=None, limits=None):
     """The least wave of a mean level of one, which a limit at `lowest` may hold above it."""
-    system = Waves(al.Decision(*phase), al.Decision(0.5, 0.0, 1.0), al.Uniform(1.0, half_width=0.1))
+    system = waves(al.Decision(*phase), al.Decision(0.5, 0.0, 1.0), al.Uniform(1.0, half_width=0.1))
     goal = X.mean + (al.output("other").mean - 0.5) ** 2 if minimize is None else minimize
     kept = [X.at_least(lowest, sigmas=1.0).named("low")] if limits is None else limits
     return al.Problem(system, minimize=goal, subject_to=kept, expansion=al.Expansion(order=2))

@@ -8,31 +8,14 @@ from scipy import optimize
 import aleator as al
 from aleator.expansion import HammersleyPoints
 from aleator.solution import ConstraintResult
-from zoo import (
-    LOSS,
-    ONE_STEP,
-    RESPONSE,
-    SPREAD,
-    Decay,
-    Gain,
-    gain_problem,
-    optimum,
-)
+from zoo import LOSS, ONE_STEP, RESPONSE, SPREAD, Decay, Gain, algebraic, gain_problem, optimum
 
 SOLVERS = pytest.mark.parametrize(
     "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__
 )
 
 
-class Square(al.AlgebraicSystem):
-    """Functions of one decided number."""
-
-    a: al.Number
-
-    def outputs(self):
-        return {"a": self.a, "q": (self.a - 3.0) ** 2, "e": jnp.exp(self.a)}
-
-
+Square = algebraic(lambda a: {"a": a, "q": (a - 3.0) ** 2, "e": jnp.exp(a)})
 A, Q, E = (al.output(name).mean for name in "aqe")
 
 
@@ -181,13 +164,8 @@ def test_a_simulation_that_blows_up_at_one_point_only_is_named():
     assert told == pytest.approx(1 / rates[5], rel=0.02)
 
 
-class Broken(al.AlgebraicSystem):
-    """A root whose derivative is infinite at one, and which is no number for decisions that sum to less."""
-
-    chosen: al.Number
-
-    def outputs(self):
-        return {"y": jnp.sqrt(jnp.sum(self.chosen) - 1.0)}
+# A root whose derivative is infinite at one, and which is no number for decisions that sum to less.
+Broken = algebraic(lambda chosen: {"y": jnp.sqrt(jnp.sum(chosen) - 1.0)})
 
 
 @pytest.mark.parametrize(

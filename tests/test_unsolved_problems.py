@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.nlp import DifferentialEvolution
-from zoo import ONE_STEP, RESPONSE, Gain, block_problem, cases
+from zoo import ONE_STEP, RESPONSE, Gain, algebraic, block_problem, cases
 
 FILTER, IPOPT, SLSQP = al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()
 
@@ -18,22 +18,15 @@ def name_of(solver):
     return type(solver).__name__
 
 
-class Wild(al.AlgebraicSystem):
+@algebraic
+def _wild(push, other, unit):
     """A place that rises from -1 to 1 within 1e-13 of the middle of the decision, as an unstable motion's end does."""
-
-    push: al.Number
-    other: al.Number
-    unit: float = 1.0
-
-    def outputs(self):
-        steep = 1e13 * self.push
-        place = steep / jnp.sqrt(1.0 + steep**2)
-        cost = self.push**2 + self.other**2
-        return {"x": self.unit * place, "miss": self.unit * (place - 3.0), "cost": cost}
+    place = 1e13 * push / jnp.sqrt(1.0 + (1e13 * push) ** 2)
+    return {"x": unit * place, "miss": unit * (place - 3.0), "cost": push**2 + other**2}
 
 
 def wild(limit, unit=1.0):
-    system = Wild(al.Decision(0.0, -0.1, 0.1), al.Decision(0.05, -0.1, 0.1), unit)
+    system = _wild(al.Decision(0.0, -0.1, 0.1), al.Decision(0.05, -0.1, 0.1), unit)
     return al.Problem(system, minimize=al.output("cost").mean, subject_to=[limit])
 
 
@@ -53,19 +46,12 @@ def test_a_wild_gradient_at_the_start_makes_no_infeasible_problem_solved_and_loo
         assert missed.constraints[0].violation / unit == pytest.approx(2.0, abs=0.06)
 
 
-class Shares(al.AlgebraicSystem):
+@algebraic
+def _shares(first, second, length, force, cost):
     """Two forces share a way, in any units of length, force and cost."""
-
-    first: al.Number
-    second: al.Number
-    length: float
-    force: float
-    cost: float
-
-    def outputs(self):
-        a, b = self.first / self.force, self.second / self.force
-        ways = {"way": a + b, "difference": a - 2.0 * b, "first": a, "second": b}
-        return {name: self.length * way for name, way in ways.items()} | {"effort": self.cost * (a**2 + b**2)}
+    a, b = first / force, second / force
+    ways = {"way": a + b, "difference": a - 2.0 * b, "first": a, "second": b}
+    return {name: length * way for name, way in ways.items()} | {"effort": cost * (a**2 + b**2)}
 
 
 def shares(length, force, cost, most):
@@ -74,7 +60,7 @@ def shares(length, force, cost, most):
     out = {name: al.output(name).mean for name in ("way", "difference", "first", "second", "effort")}
     limits = [out["way"].equals(length), out["difference"].equals(0.0)]
     limits += [out["first"] <= most * length, out["second"] <= most * length]
-    system = Shares(al.Decision(0.0, *bounds), al.Decision(0.0, *bounds), length, force, cost)
+    system = _shares(al.Decision(0.0, *bounds), al.Decision(0.0, *bounds), length, force, cost)
     return al.Problem(system, minimize=out["effort"], subject_to=limits)
 
 

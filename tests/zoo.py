@@ -6,8 +6,9 @@ order) costs a second of a processor for `Bar`, three for `Gain`, six for `Oscil
 `optimum` finds an optimum without the checks of an answer, for tests that look at nothing else.
 """
 
+import inspect
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -368,6 +369,15 @@ def histories(problem, germs):
     start = jax_array(problem.placements.vector("initial"))
     every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
     return jax.jit(every)(jnp.asarray(germs))
+
+
+def algebraic(outputs: Callable[..., dict[str, Any]]) -> type[Any]:
+    """The algebraic systems whose outputs are a function of their numbers, which have the names of its arguments."""
+    arguments = inspect.signature(outputs).parameters
+    own: dict[str, Any] = {"__annotations__": dict.fromkeys(arguments, al.Number)}
+    own |= {name: one.default for name, one in arguments.items() if one.default is not one.empty}
+    own |= {"outputs": lambda self: outputs(*(getattr(self, name) for name in arguments))}
+    return type(al.AlgebraicSystem)("Algebraic", (al.AlgebraicSystem,), own)
 
 
 class Optimum(NamedTuple):

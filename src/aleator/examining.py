@@ -142,7 +142,7 @@ def examine(subject: Problem | Solution) -> Examination:
 
 def _rows(transcribed: AbstractTranscribed) -> tuple[str, ...]:
     """The objective and each constraint, as mathematics."""
-    return (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+    return (f"objective {transcribed.problem.objective}", *map(str, transcribed.problem.constraints))
 
 
 def _tails(problem: Problem) -> Iterator[bool]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from zoo import algebraic
 
 pytestmark = pytest.mark.slow
 
@@ -32,21 +33,13 @@ def elongations() -> np.ndarray:
 ELONGATIONS = elongations()
 
 
-class Truss(al.AlgebraicSystem):
+@algebraic
+def truss(E1, E2, A1, A2, P, camber=0.0):
     """Two moduli (Pa) and sections (m²), six loads (N), and a camber (m) that the deflection begins from."""
-
-    E1: al.Number
-    E2: al.Number
-    A1: al.Number
-    A2: al.Number
-    P: list
-    camber: al.Number = 0.0
-
-    def outputs(self):
-        stiffness = jnp.repeat(jnp.stack([self.E1 * self.A1, self.E2 * self.A2]), np.array([11, 12])) / LENGTHS
-        loads = jnp.zeros(23).at[LOADED].set(-jnp.stack(self.P))
-        moved = jnp.linalg.solve(ELONGATIONS.T @ (stiffness[:, None] * ELONGATIONS), loads)
-        return {"deflection": -moved[MIDDLE[0]] - self.camber}
+    stiffness = jnp.repeat(jnp.stack([E1 * A1, E2 * A2]), np.array([11, 12])) / LENGTHS
+    loads = jnp.zeros(23).at[LOADED].set(-jnp.stack(P))
+    moved = jnp.linalg.solve(ELONGATIONS.T @ (stiffness[:, None] * ELONGATIONS), loads)
+    return {"deflection": -moved[MIDDLE[0]] - camber}
 
 
 TRUSS = {
@@ -66,7 +59,7 @@ ABOVE = {
 
 
 def test_the_deflection_of_a_truss_has_its_moments_and_its_tail():
-    expanded = al.expand(lambda truss: truss.outputs()["deflection"], Truss(**TRUSS), al.Expansion(order=3))
+    expanded = al.expand(lambda one: one.outputs()["deflection"], truss(**TRUSS), al.Expansion(order=3))
     assert (expanded.mean, expanded.std) == pytest.approx((0.07940062219, 0.01108377770), rel=1e-4)
     assert expanded.skewness == pytest.approx(0.490, abs=0.01)  # these two by 4e5 samples
     assert expanded.kurtosis == pytest.approx(3.46, abs=0.05)
@@ -75,7 +68,7 @@ def test_the_deflection_of_a_truss_has_its_moments_and_its_tail():
 
 
 def test_samples_of_a_truss_end_though_two_batches_at_once_would_wait_for_each_other_to_factorise():
-    sample = al.references.monte_carlo(lambda truss: truss.outputs()["deflection"], Truss(**TRUSS), 200_000)
+    sample = al.references.monte_carlo(lambda one: one.outputs()["deflection"], truss(**TRUSS), 200_000)
     assert abs(sample.mean.value - 0.07940062219) < 3 * sample.mean.standard_error
     found = sample.probability(above=0.1)
     assert abs(found.value - ABOVE[0.1][0]) < 3 * found.standard_error
@@ -84,7 +77,7 @@ def test_samples_of_a_truss_end_though_two_batches_at_once_would_wait_for_each_o
 @pytest.mark.parametrize("level", [0.14, 0.16])
 def test_rare_deflections_of_a_truss_are_sampled(level):
     problem = al.Problem(
-        Truss(**TRUSS, camber=al.Decision(0.0, 0.0, 0.01)),
+        truss(**TRUSS, camber=al.Decision(0.0, 0.0, 0.01)),
         minimize=al.value("camber"),
         subject_to=[al.output("deflection").at_most(level)],
     )

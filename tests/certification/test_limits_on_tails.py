@@ -1,7 +1,5 @@
 """Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +8,7 @@ from scipy import stats
 
 import aleator as al
 from aleator.studies.suspension import RIDE, nominal, road
+from zoo import algebraic
 
 U = stats.norm.ppf
 # Responses of two normal numbers, with the quantile of each at a level: which, is data of the model.
@@ -23,25 +22,19 @@ RESPONSES = {
 }
 
 
-class Rod(al.AlgebraicSystem):
+@algebraic
+def rod(d, u, v, weights):
     """A size `d` times a response that is limited."""
-
-    d: al.Number
-    u: al.Number
-    v: al.Number
-    weights: Any
-
-    def outputs(self):
-        each = zip(self.weights, RESPONSES.values(), strict=True)
-        return {"y": self.d * sum(weight * response(self.u, self.v) for weight, (response, _) in each), "d": self.d}
+    each = zip(weights, RESPONSES.values(), strict=True)
+    return {"y": d * sum(weight * response(u, v) for weight, (response, _) in each), "d": d}
 
 
 def largest(response, limit, order):
     """The largest size whose response keeps a limit of 10."""
     weights = [float(response == one) for one in RESPONSES]
-    rod = Rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), weights)
+    model = rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), weights)
     problem = al.Problem(
-        rod, minimize=-1 * al.output("d").mean, subject_to=[limit], expansion=al.Expansion(order=order)
+        model, minimize=-1 * al.output("d").mean, subject_to=[limit], expansion=al.Expansion(order=order)
     )
     return al.solve(problem, throw=False)
 

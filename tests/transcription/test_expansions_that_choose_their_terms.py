@@ -1,7 +1,5 @@
 """Adaptive index sets and sparse fits inside a problem: chosen once, at the initial decisions."""
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,17 +9,10 @@ import aleator as al
 from aleator.expansion import Adaptive, HyperbolicCross, Sparse
 from aleator.transcription import transcribe
 from aleator.transcription._discretised import _collocated
+from zoo import algebraic
 
-
-class Many(al.AlgebraicSystem):
-    """Ten uncertain numbers, of which the first two matter: `y = gain exp(k_0 k_1) + small sum of all`."""
-
-    gain: al.Number
-    k: Any
-
-    def outputs(self):
-        y = self.gain * jnp.exp(self.k[0] * self.k[1]) + 0.01 * sum(self.k)
-        return {"y": y, "loss": (self.gain - 4.0) ** 2}
+# Ten uncertain numbers, of which the first two matter.
+Many = algebraic(lambda gain, k: {"y": gain * jnp.exp(k[0] * k[1]) + 0.01 * sum(k), "loss": (gain - 4.0) ** 2})
 
 
 def many_problem(expansion, gain=1.0):

@@ -117,7 +117,7 @@ def answer(between=None, **options):
 def test_paths_and_peaks_are_compared_with_their_limits_on_the_finer_grid():
     transcribed, level = transcribe(rippled(high=1.9, peak=1.2, ripple=50.0)), np.array([1.0])
     factor = answer(high=1.5, ripple=100.0).certificate.between.factor
-    between, shifts = excess_between(transcribed, level, begin_check(transcribed, level, factor)())
+    between, shifts = excess_between(begin_check(transcribed, level, factor)())
     wave = np.sin(2 * np.pi * 50.0 * np.linspace(0.0, 1.0, 100 * factor + 1))
     assert wave.max() > 0.9 > wave[::factor].max()
     np.testing.assert_allclose(shifts[2], [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)

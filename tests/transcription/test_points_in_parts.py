@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ from numpy.polynomial import legendre
 
 import aleator as al
 from aleator.transcription import transcribe
-from aleator.transcription.sequential import EVALUATE, _evaluator
-from aleator.transcription.sequential._evaluator import Blocks
+from aleator.transcription.sequential import _evaluator
+from aleator.transcription.sequential._evaluator import Evaluator
 from zoo import Decay
 
 POINTS, STEPS, HALF_RATE, HALF_START = 37, 10, 0.4, 0.1
@@ -57,33 +58,29 @@ def limit_on_paths(points, rate, start):
 
 
 def test_parts_give_statistics_and_derivatives_of_systems_one_by_one():
-    transcription, blocks = evaluated(decaying(), [1.0, 0.5])
-    assert len(blocks.samples_in_parts) == 2
+    transcription, found = evaluated(decaying(), [1.0, 0.5])
+    assert len(transcription.evaluator._programs) == 2
     points, h = transcription.collocation.points, 1e-5
     # To the error of ten steps.
-    np.testing.assert_allclose(blocks.by_constraint(blocks.values)[0], limit_on_paths(points, 1.0, 0.5), atol=1e-5)
+    np.testing.assert_allclose(found.meaning.constraints[0], limit_on_paths(points, 1.0, 0.5), atol=1e-5)
     sides = [[limit_on_paths(points, 1.0 + s * h, 0.5), limit_on_paths(points, 1.0, 0.5 + s * h)] for s in (1, -1)]
     slopes = np.transpose(np.subtract(*sides)) / (2 * h)
-    np.testing.assert_allclose(blocks.by_constraint(blocks.derivatives)[0], slopes, atol=1e-4)
+    np.testing.assert_allclose(found.derivatives[1], slopes, atol=1e-4)
 
 
 @pytest.mark.usefixtures("all_threads_again")
-def test_parts_agree_with_all_points_at_once_and_digits_do_not_depend_on_threads():
+def test_parts_agree_with_all_points_at_once_and_digits_do_not_depend_on_threads(monkeypatch):
     transcription, parts = evaluated(decaying(), [1.1, 0.6])
-    traced, collocation, anchors = transcription.evaluator._made_of
-    given = traced, collocation, transcription.constants, anchors
-    whole = Blocks._make((*EVALUATE.bound(*given)(np.array([1.1, 0.6])), POINTS))
-    for name in ("values", "derivatives", "times"):
-        one, other = getattr(parts, name), getattr(whole, name)
-        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-13 * np.abs(other).max(), err_msg=name)
-    for name in ("samples", "tangents", "statistics"):
-        for one, other in zip(getattr(parts, name), getattr(whole, name), strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12, err_msg=name)
+    monkeypatch.setattr(_evaluator, "_FEWEST_POINTS", POINTS)
+    evaluator = transcription.evaluator
+    whole = Evaluator(transcription.traced, transcription.discretised, evaluator.anchors)(np.array([1.1, 0.6]))
+    for one, other in zip(jax.tree.leaves(parts), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+    monkeypatch.undo()
     al.threads(1)
-    _, again = evaluated(decaying(), [1.1, 0.6])
-    for name in ("values", "derivatives", "samples", "tangents", "statistics"):
-        for one, same in zip(getattr(parts, name), getattr(again, name), strict=True):
-            np.testing.assert_array_equal(one, same)
+    again = evaluator._evaluate(np.array([1.1, 0.6]))
+    for one, same in zip(jax.tree.leaves(parts), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, same)
 
 
 class Bursting(Decay):
@@ -104,7 +101,7 @@ def test_a_system_that_is_not_a_number_in_any_part_leaves_no_number():
 @pytest.mark.parametrize(("which", "error"), [(0, MemoryError), (1, KeyboardInterrupt)])
 def test_what_a_part_raises_is_raised(which, error):
     transcription = transcribe(decaying())
-    evaluate: Any = transcription.evaluator.with_constants(transcription.constants)
+    evaluate: Any = Evaluator(transcription.traced, transcription.discretised, None)
 
     class Failing:
         def prepare(self, last):

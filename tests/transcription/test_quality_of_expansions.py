@@ -10,6 +10,7 @@ import scipy
 import aleator as al
 from aleator.expansion import collocate
 from aleator.uncertainty import LegendreGerm
+from zoo import algebraic
 
 TIMES, ORDER = np.linspace(0.0, 30.0, 301), 4
 
@@ -76,13 +77,8 @@ def test_what_is_slow_enough_is_resolved_and_the_corner_is_named_in_which_no_poi
 MEAN, WIDTH = 0.3, 0.8
 
 
-class Bent(al.AlgebraicSystem):
-    """Functions of an uncertain number: a smooth one, and one whose derivative has a kink."""
-
-    a: al.Number
-
-    def outputs(self):
-        return {"smooth": jnp.exp(2 * self.a), "kink": jnp.abs(self.a + 0.1) * (self.a + 0.1)}
+# A smooth function of an uncertain number, and one whose derivative has a kink.
+Bent = algebraic(lambda a: {"smooth": jnp.exp(2 * a), "kink": jnp.abs(a + 0.1) * (a + 0.1)})
 
 
 def bent_problem(output, order, points=None):
@@ -131,13 +127,7 @@ def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_i
 
 @pytest.mark.filterwarnings("ignore")
 def test_an_optimum_that_follows_from_derivatives_that_are_not_resolved_is_no_answer():
-    class Square(al.AlgebraicSystem):
-        x: al.Number
-
-        def outputs(self):
-            return {"y": (self.x - 0.45) ** 2}
-
-    system = Square(al.Triangular(0.0, al.Decision(0.3, 0.01, 0.99), 1.0))
+    system = algebraic(lambda x: {"y": (x - 0.45) ** 2})(al.Triangular(0.0, al.Decision(0.3, 0.01, 0.99), 1.0))
     solution = al.solve(al.Problem(system, minimize=al.output("y").std), throw=False)
     levels = (np.arange(10**4) + 0.5) / 10**4
 

@@ -10,7 +10,7 @@ import scipy.stats
 import aleator as al
 from aleator.certification._fresh import fresh_systems
 from aleator.certification._second_opinion import _quantile
-from zoo import LOSS, ONE_STEP, gain_problem
+from zoo import LOSS, ONE_STEP, algebraic, gain_problem
 
 BOUND = 2.0
 
@@ -111,17 +111,12 @@ def test_weights_of_fresh_systems_give_the_moments_of_all(germs):
     assert all((one.points[:, 0] > beyond).any() and (one.points[:, 0] < -beyond).any() for one in several)
 
 
-class Spiked(al.AlgebraicSystem):
+def spiked(a, centre, height):
     """A line of slope 0.1, and a spike that no collocation point sees."""
+    return 1 + 0.1 * a + height * jnp.exp(-(((a - centre) / 0.003) ** 2))
 
-    k: al.Number
-    a: al.Number
-    centre: float
-    height: float
 
-    def outputs(self):
-        spike = self.height * jnp.exp(-(((self.a - self.centre) / 0.003) ** 2))
-        return {"g": self.k * (1 + 0.1 * self.a + spike)}
+Spiked = algebraic(lambda k, a, centre, height: {"g": k * spiked(a, centre, height)})
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -137,8 +132,7 @@ def test_a_rare_event_that_breaks_a_limit_is_drawn_more_often_before_the_design_
     )
     solution = al.solve(problem, throw=False)
     levels = (np.arange(10**5) + 0.5) / 1e5
-    spikes = height * np.exp(-(((levels - centre) / 0.003) ** 2))
-    true = float(solution.decisions["k"]) * (1 + 0.1 * levels + spikes)
+    true = np.asarray(solution.decisions["k"] * spiked(levels, centre, height))
     assert true.mean() + sigmas * true.std() > 1.2 * 5.0
     assert not solution.ok
     assert "fresh simulations contradict" in solution.why()
@@ -157,22 +151,16 @@ def test_all_fresh_systems_of_one_or_two_germs_cover_their_range_evenly():
     assert len(np.unique(cells, axis=0)) == 49
 
 
+@algebraic
+def part(d, u, place, slope):
+    """A gain, and a price in a narrow part of the germ that no collocation point meets."""
+    return {"cost": jnp.where(jnp.abs(u - place) < 0.0075, 100.0 * d**2, 0.0) + slope * u - d}
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("slope", "place"), [(0.0, 0.05), (0.0, 0.5), (1.0, 0.3), (1.0, 0.77)])
 def test_a_part_of_one_and_a_half_percent_of_the_only_germ_that_costs_dearly_is_found(place, slope):
-    class Part(al.AlgebraicSystem):
-        """A gain, and a price in a narrow part of the germ that no collocation point meets."""
-
-        d: al.Number
-        u: al.Number
-        place: float
-        slope: float
-
-        def outputs(self):
-            hit = jnp.abs(self.u - self.place) < 0.0075
-            return {"cost": jnp.where(hit, 100.0 * self.d**2, 0.0) + self.slope * self.u - self.d}
-
-    model = Part(al.Decision(1.0, 0.0, 10.0), al.Uniform.bounds(0.0, 1.0), place, slope)
+    model = part(al.Decision(1.0, 0.0, 10.0), al.Uniform.bounds(0.0, 1.0), place, slope)
     solution = al.solve(al.Problem(model, minimize=al.output("cost").mean), throw=False)
     # E[cost] = 1.5 d² - d + slope / 2: at d = 10 it is 140, the expansion says -10.
     assert solution.objective == pytest.approx(slope / 2 - 10.0)
@@ -185,19 +173,11 @@ def test_a_part_of_one_and_a_half_percent_of_the_only_germ_that_costs_dearly_is_
 
 @pytest.mark.filterwarnings("ignore")
 def test_an_outlier_of_hardly_any_weight_is_a_reason_to_draw_more():
-    class Corner(al.AlgebraicSystem):
-        """A jump in a corner of 4 % that no point sees, and one fresh system does: in the utmost tail of its germ."""
-
-        k: al.Number
-        a: al.Number
-        b: al.Number
-
-        def outputs(self):
-            return {"g": self.k + 0.1 * self.a + 0.05 * self.b + jnp.where((self.a < -0.6) & (self.b > 0.6), 1.0, 0.0)}
-
+    """A jump in a corner of 4 % that no point sees, and one fresh system does: in the utmost tail of its germ."""
+    corner = algebraic(lambda k, a, b: {"g": k + 0.1 * a + 0.05 * b + jnp.where((a < -0.6) & (b > 0.6), 1.0, 0.0)})
     parts = [al.Uniform(0.0, half_width=1.0) for _ in range(2)]
     limit = al.output("g").at_most(1.0, sigmas=2.0)
-    problem = al.Problem(Corner(al.Decision(0.0, -9.0, 9.0), *parts), minimize=-al.value("k"), subject_to=[limit])
+    problem = al.Problem(corner(al.Decision(0.0, -9.0, 9.0), *parts), minimize=-al.value("k"), subject_to=[limit])
     solution = al.solve(problem, throw=False)
     # Mean and variance of the jump are 0.04 and 0.04 x 0.96; at its place a is -0.8 and b is 0.8 in the mean.
     variance = (0.1**2 + 0.05**2) / 3 + 0.04 * 0.96 + 2 * 0.04 * (-0.8 * 0.1 + 0.8 * 0.05)
@@ -207,16 +187,9 @@ def test_an_outlier_of_hardly_any_weight_is_a_reason_to_draw_more():
 
 @pytest.mark.filterwarnings("ignore")
 def test_what_is_tiny_beside_an_outermost_point_of_no_weight_is_not_certain():
-    class Growth(al.AlgebraicSystem):
-        """`E exp(s x) = 1 / (1 - s)` for exponential `x`: 1e21 at the last point of order 12, of weight 3e-22."""
-
-        s: al.Number
-        x: al.Number
-
-        def outputs(self):
-            return {"g": jnp.exp(self.s * self.x), "rate": self.s}
-
-    system = Growth(al.Decision(0.1, 0.01, 0.9), al.Exponential(mean=1.0))
+    """`E exp(s x) = 1 / (1 - s)` for exponential `x`: 1e21 at the last point of order 12, of weight 3e-22."""
+    growth = algebraic(lambda s, x: {"g": jnp.exp(s * x), "rate": s})
+    system = growth(al.Decision(0.1, 0.01, 0.9), al.Exponential(mean=1.0))
     limit = al.output("g").mean <= 1.8
     problem = al.Problem(system, minimize=-al.output("rate").mean, subject_to=[limit], expansion=al.Expansion(12))
     solution = al.solve(problem, throw=False)
@@ -229,15 +202,8 @@ def test_what_is_tiny_beside_an_outermost_point_of_no_weight_is_not_certain():
 
 @pytest.mark.slow
 def test_a_limit_is_held_to_a_part_of_its_spread_however_large_its_bound_is():
-    class Offset(al.AlgebraicSystem):
-        k: al.Number
-        a: al.Number
-
-        def outputs(self):
-            return {"g": 1e9 + self.k + 0.1 * self.a}
-
     problem = al.Problem(
-        Offset(al.Decision(1.0, 0.0, 10.0), al.Normal(0.0, 1.0)),
+        algebraic(lambda k, a: {"g": 1e9 + k + 0.1 * a})(al.Decision(1.0, 0.0, 10.0), al.Normal(0.0, 1.0)),
         minimize=-al.value("k"),
         subject_to=[al.output("g").at_most(1e9 + 2.0, sigmas=1.0)],
         expansion=al.Expansion(order=2),

@@ -1,20 +1,12 @@
 """Sequential programs: values in closed form, first and second derivatives against differences, rows and programs."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
-from zoo import (
-    SPREAD,
-    Launched,
-    central_differences,
-    derivative_error,
-    gain_problem,
-)
+from zoo import SPREAD, Launched, algebraic, central_differences, derivative_error, gain_problem
 
 EXACT = al.Sequential(second_derivatives=True)
 
@@ -104,17 +96,9 @@ def test_a_problem_is_compiled_once_for_all_bounds_sigmas_and_numbers_and_anew_f
     assert EVALUATE.compilations == before + 1
 
 
-class Weighted(al.AlgebraicSystem):
-    a: al.Number
-    weights: Any
-
-    def outputs(self):
-        return {"y": self.weights[0] * self.a}
-
-
 def test_a_problem_whose_numbers_were_changed_in_place_is_transcribed_anew():
-    weighted = Weighted(al.Decision(1.0, 0.5, 2.0), np.array([1.0]))
-    problem = al.Problem(weighted, minimize=al.output("y").mean)
+    weighted = algebraic(lambda a, weights: {"y": weights[0] * a})
+    problem = al.Problem(weighted(al.Decision(1.0, 0.5, 2.0), np.array([1.0])), minimize=al.output("y").mean)
     assert al.solve(problem).objective == pytest.approx(0.5)
     problem.system.weights[...] = 3.0
     assert al.solve(problem).objective == pytest.approx(1.5)

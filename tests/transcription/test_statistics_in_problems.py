@@ -7,7 +7,7 @@ from scipy import stats
 
 import aleator as al
 from aleator.transcription import transcribe
-from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, derivative_error, optimum
+from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, algebraic, derivative_error, optimum
 
 GAIN = 1.7
 THETA = stats.uniform(1.0 - HALF_WIDTH, 2 * HALF_WIDTH)
@@ -126,18 +126,9 @@ def test_a_deterministic_problem_knows_every_statistic():
     assert statistics["Q0.99[response(t_f)]"] == pytest.approx(2.0, rel=1e-6)
 
 
-class Root(al.AlgebraicSystem):
-    """A root that negative numbers do not have, and a cost of its own."""
-
-    size: al.Number
-    off: al.Number
-
-    def outputs(self):
-        return {"root": jnp.sqrt(self.size + self.off), "size": self.size}
-
-
 def test_a_failed_system_leaves_a_design_without_any_value():
-    model = Root(al.Decision(2.0, 0.1, 5.0), al.Uniform(0.0, half_width=1.0))
+    root = algebraic(lambda size, off: {"root": jnp.sqrt(size + off), "size": size})
+    model = root(al.Decision(2.0, 0.1, 5.0), al.Uniform(0.0, half_width=1.0))
     likely = al.output("root").probability(above=3.0) <= 0.1
     program = transcribe(al.Problem(model, minimize=al.output("size").mean, subject_to=[likely])).program
     for size, is_finite in ((2.0, True), (0.5, False)):
@@ -146,14 +137,8 @@ def test_a_failed_system_leaves_a_design_without_any_value():
         assert np.isnan(found.objective) != is_finite
 
 
-class Vanishing(al.AlgebraicSystem):
-    """A cost that is least at k = 1, and a product whose spread vanishes with that of k."""
-
-    k: al.Number
-    d: al.Number
-
-    def outputs(self):
-        return {"cost": (self.k - 1.0) ** 2 + self.d**2, "product": self.k * self.d}
+# A cost that is least at k = 1, and a product whose spread vanishes with that of k.
+Vanishing = algebraic(lambda k, d: {"cost": (k - 1.0) ** 2 + d**2, "product": k * d})
 
 
 @pytest.mark.parametrize("which", ["cost", "product"])

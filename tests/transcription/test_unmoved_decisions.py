@@ -1,14 +1,12 @@
 """Answers at which decisions have not moved: maxima, saddles, flat starts, and models without derivatives."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
-from zoo import block_problem, cases
+from zoo import algebraic, block_problem, cases
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -34,19 +32,11 @@ LIMITED = {
 }
 
 
-class Choice(al.AlgebraicSystem):
+@algebraic
+def choice(a, b, response, limit, size):
     """A response of two numbers, and a function that is limited, each the sum of those with a weight: which is data."""
-
-    a: al.Number
-    b: al.Number
-    response: Any
-    limit: Any
-    size: al.Number = 1.0
-
-    def outputs(self):
-        y = sum(w * one(self.a, self.b, self.size) for w, one in zip(self.response, RESPONSES.values(), strict=True))
-        limit = sum(w * one(self.a, self.size) for w, one in zip(self.limit, LIMITED.values(), strict=True))
-        return {"y": y, "limit": limit}
+    y = sum(w * one(a, b, size) for w, one in zip(response, RESPONSES.values(), strict=True))
+    return {"y": y, "limit": sum(w * one(a, size) for w, one in zip(limit, LIMITED.values(), strict=True))}
 
 
 def weights(names, name):
@@ -54,7 +44,7 @@ def weights(names, name):
 
 
 def answer(kind, a, b=(0.0, -2.0, 2.0), limit=None, lower=-1e9, upper=1e9, size=1.0, **options):
-    model = Choice(al.Decision(*a), al.Decision(*b), weights(RESPONSES, kind), weights(LIMITED, limit), size)
+    model = choice(al.Decision(*a), al.Decision(*b), weights(RESPONSES, kind), weights(LIMITED, limit), size)
     limits = [al.Constraint(al.output("limit").mean, lower=lower, upper=upper, name="limit")] if limit else []
     return al.solve(al.Problem(model, minimize=al.output("y").mean, subject_to=limits), **options)
 
@@ -82,17 +72,9 @@ def test_a_symmetry_of_two_decisions_is_left_whether_they_have_moved_or_not(star
 
 
 def test_three_factors_of_a_product_leave_zero_together():
-    class Box(al.AlgebraicSystem):
-        sides: Any
-
-        def outputs(self):
-            x, y, z = self.sides
-            return {"volume": x * y * z, "surface": 2 * (x * y + y * z + z * x)}
-
-    limit = al.output("surface").mean <= 6.0
-    problem = al.Problem(
-        Box([al.Decision(0.0, 0.0, 9.0) for _ in range(3)]), minimize=-al.output("volume").mean, subject_to=[limit]
-    )
+    box = algebraic(lambda x, y, z: {"volume": x * y * z, "surface": 2 * (x * y + y * z + z * x)})
+    limit, sides = al.output("surface").mean <= 6.0, [al.Decision(0.0, 0.0, 9.0) for _ in range(3)]
+    problem = al.Problem(box(*sides), minimize=-al.output("volume").mean, subject_to=[limit])
     assert al.solve(problem).objective == pytest.approx(-1.0, rel=1e-6)
 
 

@@ -13,7 +13,7 @@ from aleator.solving import _stages
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
 from compiling import compiled
-from zoo import Decay, cases, optimum
+from zoo import Decay, algebraic, cases, optimum
 
 Y = al.output("y")
 WIDE = al.Uniform(0.0, half_width=1.0)
@@ -44,22 +44,16 @@ RULES = {
 }
 
 
-class Surface(al.AlgebraicSystem):
+@algebraic
+def surface(gain, a, b, weights):
     """An output that is a rule of a gain and of two uncertain numbers: which rule, is data."""
-
-    gain: al.Number
-    a: al.Number
-    b: al.Number
-    weights: Any
-
-    def outputs(self):
-        rules = (rule(self.gain, self.a, self.b) for rule, _ in RULES.values())
-        return {"y": sum(weight * one for weight, one in zip(self.weights, rules, strict=True))}
+    rules = (rule(gain, a, b) for rule, _ in RULES.values())
+    return {"y": sum(weight * one for weight, one in zip(weights, rules, strict=True))}
 
 
 def largest_gain(name, limit=WORST, a: Any = WIDE, b: Any = WIDE):
     """The problem of the largest gain under a limit."""
-    system = Surface(al.Decision(0.1, 0.01, 5.0), a, b, [float(name == one) for one in RULES])
+    system = surface(al.Decision(0.1, 0.01, 5.0), a, b, [float(name == one) for one in RULES])
     return al.Problem(system, minimize=-1.0 * al.value("gain"), subject_to=[limit])
 
 
@@ -112,20 +106,16 @@ def test_values_without_bound_have_no_worst_case_and_what_is_certain_is_its_own(
     assert solution.certificate.worst_case is None
 
 
-class Many(al.AlgebraicSystem):
-    gain: al.Number
-    parts: Any
-
-    def outputs(self):
-        total = sum(sign * part for sign, part in zip([1.0, -1.0] * 6, self.parts, strict=True))
-        return {"y": self.gain * (total + 0.02 * total**2)}
-
-
 @pytest.mark.slow
 def test_the_worst_of_many_variables_is_found_at_its_corner():
-    system = Many(al.Decision(0.01, 0.001, 5.0), [al.Uniform(0.0, half_width=0.5) for _ in range(12)])
+    @algebraic
+    def system(gain, parts):
+        total = sum(sign * part for sign, part in zip([1.0, -1.0] * 6, parts, strict=True))
+        return {"y": gain * (total + 0.02 * total**2)}
+
+    model = system(al.Decision(0.01, 0.001, 5.0), [al.Uniform(0.0, half_width=0.5) for _ in range(12)])
     first_order = al.Expansion(order=1)
-    solution = al.solve(al.Problem(system, minimize=-1.0 * al.value("gain"), subject_to=[WORST], expansion=first_order))
+    solution = al.solve(al.Problem(model, minimize=-1.0 * al.value("gain"), subject_to=[WORST], expansion=first_order))
     assert solution.decisions["gain"] == pytest.approx(1 / (6 + 0.02 * 36), rel=1e-6)
 
 

@@ -2,10 +2,10 @@
 
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
-from aleator.certification._check import check_factor as check_factor
-from aleator.certification._check import is_checked as is_checked
-from aleator.certification._check import pieces as pieces
 from aleator.certification._check import prepare_check as prepare_check
+from aleator.certification._fresh import check_factor as check_factor
+from aleator.certification._fresh import is_checked as is_checked
+from aleator.certification._fresh import pieces as pieces
 from aleator.certification._grids import grid_error as grid_error
 from aleator.certification._grids import magnitudes_at as magnitudes_at
 from aleator.certification._grids import misled_at as misled_at
@@ -16,15 +16,11 @@ from aleator.certification._limits import Margins as Margins
 from aleator.certification._limits import excess_between as excess_between
 from aleator.certification._limits import margins_for as margins_for
 from aleator.certification._limits import tightened as tightened
-from aleator.certification._second_opinion import second_opinion as second_opinion
-from aleator.certification._smoothing import at_half_width as at_half_width
+from aleator.certification._solution import Held as Held
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts
-from aleator.certification._solution import lost_derivatives as lost_derivatives
-from aleator.certification._solution import moved_correlations as moved_correlations
 from aleator.certification._solution import solution_of as solution_of
-from aleator.certification._solution import untrusted as untrusted
-from aleator.certification._worst_case import REACHED as REACHED
+from aleator.certification._solution import with_opinion as with_opinion
 from aleator.certification._worst_case import Oracle as Oracle
 from aleator.certification._worst_case import broken_at as broken_at
 from aleator.certification._worst_case import idle_scenarios as idle_scenarios

@@ -5,11 +5,10 @@ with an integrator of another order. The finer grid has an odd prime number of t
 are in no phase with those of the problem's: what is constant at these, such as a ripple of their period, shows there.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, TypeVar, final
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Bound, Compiled, Use
 from aleator._core.parallel import beside
-from aleator.certification._fresh import FreshSystems, simulates_inside, systems_of
+from aleator.certification._fresh import FreshSystems, is_checked, systems_of
 from aleator.design import (
     AbstractFunctional,
     Constraint,
@@ -31,17 +30,11 @@ from aleator.design import (
     grid_at,
     statistics_in,
 )
-from aleator.dynamics import FINER, AbstractIntegrator, Grid, Rodas5P, Simulation
+from aleator.dynamics import AbstractIntegrator, Grid, Rodas5P
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
-from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
-from aleator.transcription import AbstractTranscribed, Discretised, scope_from, simulated
+from aleator.transcription import AbstractTranscribed, Discretised, Meaning, scope_from, simulated
 
-_Part = TypeVar("_Part")
-
-# Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
-# then the least number of steps in all, and between two knots.
-_FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
 # Most steps of all systems together in a check that takes longer to compile well than to run.
 _BRIEF = 500_000
 # Rounding as a part of the magnitude of an output and of a constraint, and integration error as a part of an output's.
@@ -52,61 +45,108 @@ _DEPARTED, _SAME = 10.0, 1e-9
 
 @final
 @dataclass(frozen=True)
+class Checked:
+    """One functional by CHECK, a path at every instant of the finer grid.
+
+    - `reach`: how large it could be in a typical system, see `AbstractFunctional.reach`;
+    - `coefficients`: of its expansion, whose moments are `mean` and `std`;
+    - `fresh`: at the fresh systems, of some `weights`; `predicted`: what its expansion predicts there.
+    """
+
+    reach: float
+    coefficients: Float[np.ndarray, "terms ..."]
+    fresh: Float[np.ndarray, "fresh ..."]
+    predicted: Float[np.ndarray, "fresh ..."]
+    weights: Float[np.ndarray, " fresh"]
+
+    @cached_property
+    def mean(self) -> Float[np.ndarray, "..."]:
+        """The mean by its expansion."""
+        return np.asarray(Mean().of(self.coefficients, ()))  # type: ignore[arg-type]
+
+    @cached_property
+    def std(self) -> Float[np.ndarray, "..."]:
+        """The standard deviation by its expansion."""
+        return np.asarray(Std().of(self.coefficients, ()))  # type: ignore[arg-type]
+
+    @property
+    def spread(self) -> Float[np.ndarray, "..."]:
+        """The standard deviation in the fresh systems about the mean by its expansion."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.tensordot(self.weights, (self.fresh - self.mean) ** 2, axes=1)
+            return np.sqrt(squares / max(self.weights.sum(), 1.0))
+
+
+@final
+@dataclass(frozen=True)
 class Check:
-    """A problem's numbers at one point by CHECK.
+    """A problem at one point of its program by CHECK.
 
     - `values`: the objective, then the constraints, those of paths at every instant of the finer grid;
-    - `statistics`: each statistic in the expressions;
-    - `reaches`: how large each functional could be in a typical system, see `AbstractFunctional.reach`;
-    - `coefficients`: of the expansion of each functional, whose moments are `means` and `stds`;
-    - `fresh`: each functional at the fresh systems; `predicted`: what its expansion predicts there;
+    - `statistics`: each statistic in the expressions, at the instants of the problem's own grid;
+    - `functionals`: each functional in them;
     - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name;
     - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
       each step was simulated from the mesh's own state; else empty.
-
-    Statistics, moments and functionals of paths are at every instant of the finer grid.
     """
 
+    transcribed: AbstractTranscribed
+    point: Float[np.ndarray, " variables"]
     values: tuple[Float[np.ndarray, "..."], ...]
-    statistics: tuple[Float[np.ndarray, "..."], ...]
-    reaches: tuple[float, ...]
-    coefficients: tuple[Float[np.ndarray, "terms ..."], ...]
-    fresh: tuple[Float[np.ndarray, "fresh ..."], ...]
-    predicted: tuple[Float[np.ndarray, "fresh ..."], ...]
+    statistics: dict[Statistic, Float[np.ndarray, "..."]]
+    functionals: dict[AbstractFunctional, Checked]
     systems: FreshSystems
     factor: int
     integrator: str
     departed: str = ""
 
-    @cached_property
-    def means(self) -> tuple[Float[np.ndarray, "..."], ...]:
-        """The mean of each functional."""
-        return self._all_of(Mean())
+    @property
+    def problem(self) -> Problem:
+        """The problem."""
+        return self.transcribed.problem
+
+    @property
+    def meaning(self) -> Meaning:
+        """What its program says of the point."""
+        return self.transcribed.at(self.point)
 
     @cached_property
-    def stds(self) -> tuple[Float[np.ndarray, "..."], ...]:
-        """The standard deviation of each functional."""
-        return self._all_of(Std())
+    def times(self) -> Float[np.ndarray, " instants"]:
+        """The instants of the problem's own grid, s."""
+        return self.transcribed.times(self.point)
 
-    def _all_of(self, kind: Mean | Std) -> tuple[Float[np.ndarray, "..."], ...]:
-        coefficients: tuple[Any, ...] = self.coefficients
-        return tuple(np.asarray(kind.of(one, ())) for one in coefficients)
-
-    def at_own(self, problem: Problem) -> dict[Statistic, Float[np.ndarray, "..."]]:
-        """The statistics in the expressions of a problem, those of paths at the instants of its own grid."""
-        each = zip(statistics_in(problem.expressions), map(np.asarray, self.statistics), strict=True)
-        return {one: value[:: self.factor] if one.functionals[0].is_path else value for one, value in each}
+    @cached_property
+    def rounding(self) -> dict[AbstractFunctional, float]:
+        """The rounding of functionals, by how large they could be, or as far as constraints on them show it."""
+        seen = magnitudes_in_limits(self.transcribed, self.point)
+        return {one: max(_ROUNDING * own.reach, ROUNDING * seen[one]) for one, own in self.functionals.items()}
 
     @property
     def is_finite(self) -> bool:
         """Whether all moments are."""
-        return all(np.isfinite(one).all() for one in (*self.means, *self.stds))
+        return all(np.isfinite(part).all() for own in self.functionals.values() for part in (own.mean, own.std))
 
-    def spread(self, functional: int) -> Float[np.ndarray, "..."]:
-        """The standard deviation of a functional in the fresh systems about the mean by its expansion."""
-        away, weights = self.fresh[functional] - self.means[functional], self.systems.weights
-        with np.errstate(over="ignore", invalid="ignore"):
-            return np.sqrt(np.tensordot(weights, away**2, axes=1) / max(weights.sum(), 1.0))
+    @property
+    def gained(self) -> float:
+        """By how much the objective differs from that at the start."""
+        return abs(self.transcribed.at(self.transcribed.program.start).objective - self.meaning.objective)
+
+    def again(self, draws: Iterable[FreshSystems]) -> "list[Check]":
+        """The same with other fresh systems, as many in each draw."""
+        waiting = [self._begin(systems) for systems in draws]
+        return [check() for check in waiting]
+
+    @cached_property
+    def _begin(self) -> "Callable[[FreshSystems], Callable[[], Check]]":
+        return checks_at(self.transcribed, self.point, self.factor)
+
+    def at_instants(self, number: int) -> Float[np.ndarray, " some"]:
+        """The rows of a constraint at the instants of the problem's own grid, by its program."""
+        return self.transcribed.at_instants(self.problem.constraints[number], self.meaning.constraints[number])
+
+    def own(self, functional: AbstractFunctional) -> Any:
+        """Where the values of a functional at the instants of the problem's own grid stand among all."""
+        return np.s_[:: self.factor] if functional.is_path else ...
 
 
 def _check(
@@ -116,7 +156,7 @@ def _check(
     decisions: Float[Array, " n"],
     drawn: tuple[Float[Array, "fresh variables"], Float[Array, "systems parts states"] | None],
 ) -> tuple[Any, ...]:
-    """Values, statistics and reaches as in `Check`; coefficients of each functional, and its fresh samples.
+    """Values, and statistics at all instants, as in `Check`; reaches, coefficients and fresh samples of functionals.
 
     `drawn`: fresh systems, and the states from which parts of the time are simulated.
     """
@@ -192,11 +232,15 @@ def checks_at(
         wait = beside(lambda: check(drawn))
 
         def result() -> Check:
-            values, statistics, reaches, coefficients, fresh = jax.tree.map(np.asarray, wait())
+            values, statistics, *parts = jax.tree.map(np.asarray, wait())
             predict = transcribed.discretised.basis.matrix(systems.points)
-            predicted = tuple(np.tensordot(predict, one, axes=1) for one in coefficients)
-            numbers = values, statistics, tuple(map(float, reaches)), coefficients, fresh, predicted
-            return Check(*numbers, systems, factor, named, departed)
+            functionals = {
+                one: Checked(float(reach), terms, fresh, np.tensordot(predict, terms, axes=1), systems.weights)
+                for one, reach, terms, fresh in zip(functionals_of(problem.expressions), *parts, strict=True)
+            }
+            every = zip(statistics_in(problem.expressions), statistics, strict=True)
+            of_own = {one: value[::factor] if one.functionals[0].is_path else value for one, value in every}
+            return Check(transcribed, point, values, of_own, functionals, systems, factor, named, departed)
 
         return result
 
@@ -215,7 +259,7 @@ def checks_at(
                 check = begun(systems, Rodas5P())()
             # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
             has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
-            if not has_parts or not (departed := _departed(transcribed, point, check)):
+            if not has_parts or not (departed := _departed(check)):
                 return check
             again = begun(systems, reference, departed)()
             return again if again.is_finite else begun(systems, Rodas5P(), departed)()
@@ -225,17 +269,16 @@ def checks_at(
     return begin
 
 
-def _departed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> str:
+def _departed(check: Check) -> str:
     """By how much a simulation departs most from what a program says of its point, in a sentence; empty unless that is
     by orders of magnitude.
     """
-    functionals, resolved = functionals_of(transcribed.problem.expressions), transcribed.resolve(point)
-    bounds = rounding_at(transcribed, point, [0.0] * len(functionals))
+    resolved, seen = check.transcribed.resolve(check.point), magnitudes_in_limits(check.transcribed, check.point)
     furthest, sentence = _DEPARTED, ""
-    for one, mean in zip(functionals, check.means, strict=True):
+    for one, checked in check.functionals.items():
         own = np.asarray(resolved[one.text()].mean)
-        away = float(np.max(np.abs(mean[:: check.factor] - own if one.is_path else mean - own)))
-        size = max(float(np.max(np.abs(own))), bounds[one] / ROUNDING)
+        away = float(np.max(np.abs(checked.mean[check.own(one)] - own)))
+        size = max(float(np.max(np.abs(own))), seen[one])
         # NaN departs furthest.
         if size > 0 and not away <= furthest * size:
             furthest, sentence = away / size, f"{one.text()} departs by {away:.2g}, where its magnitude is {size:.2g}"
@@ -268,53 +311,24 @@ def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Ca
     return lambda: bound.prepare(drawn)
 
 
-def is_checked(problem: Problem) -> bool:
-    """Whether a problem simulates something that has a grid, or that is uncertain."""
-    has_parts = problem.system.has_time or bool(problem.placements.germs) or simulates_inside(problem)
-    return has_parts and bool(functionals_of(problem.expressions))
-
-
 def _bound(problem: Problem, discretised: Discretised, decisions: Float[np.ndarray, " n"]) -> Bound:
     """CHECK of a problem, of fresh systems and the states of `_courses`."""
     _, collocation, constants = discretised
     return CHECK.bound(numbers_to_arrays(problem), collocation, constants, jax_array(decisions), packed=False)
 
 
-def check_factor(problem: Problem, between: int | None) -> int:
-    """How many times as many steps the finer grid of a problem has, an odd prime number times what reaches the nodes of
-    its controls; 1 without time.
-
-    `between`: the least number, see `solve`.
-    """
-    if not functionals_of(problem.expressions):
-        return 1
-    if not problem.system.has_time:
-        return FINER if simulates_inside(problem) else 1
-    phases = problem.simulation.phases.values()
-    chosen = between if between is not None else _FOLLOWING if pieces(problem) else _PLAIN
-    by_piece = max(-(-_BY_PIECE * _pieces(one) // one.grid.steps) for one in phases)
-    least = max(chosen, -(-_FEWEST // problem.grid.steps), by_piece, 3)
-    # Steps end at each node of a control.
-    own = (math.lcm(least_steps((one.system, one.inputs)), one.grid.steps) // one.grid.steps for one in phases)
-    whole = math.lcm(*own)
-    least = max(3, -(-least // whole))
-    prime = next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
-    return whole * prime
-
-
-def rounding_at(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], reaches: Iterable[float]
+def magnitudes_in_limits(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]
 ) -> dict[AbstractFunctional, float]:
-    """The rounding of functionals, by how large they could be, or as far as constraints on them show it: one with a
-    bound of zero is a difference of numbers of its constraint's magnitude.
+    """How large functionals are by the constraints on them: one with a bound of zero is a difference of numbers of its
+    constraint's magnitude.
     """
     problem, sizes = transcribed.problem, row_sizes(transcribed, point)
-    rounding = {one: _ROUNDING * reach for one, reach in zip(functionals_of(problem.expressions), reaches, strict=True)}
+    largest = dict.fromkeys(functionals_of(problem.expressions), 0.0)
     for one, rows in zip(problem.constraints, transcribed.rows, strict=True):
-        size = float(np.max(sizes[rows], initial=0.0))
         for functional, factor in bounded_by(one):
-            rounding[functional] = max(rounding[functional], ROUNDING * size / factor)
-    return rounding
+            largest[functional] = max(largest[functional], float(np.max(sizes[rows], initial=0.0)) / factor)
+    return largest
 
 
 def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " rows"]:
@@ -338,40 +352,17 @@ def spread_functionals(problem: Problem) -> tuple[AbstractFunctional, ...]:
     return tuple(dict.fromkeys(one for atom in atoms for one in atom.functionals))
 
 
-def certain(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check, *further: Check
-) -> tuple[AbstractFunctional, ...]:
+def certain(check: Check, *further: Check) -> tuple[AbstractFunctional, ...]:
     """The functionals whose spread is rounding or, where none stands in the problem, the error of an integrator: by
     the expansion, and in the fresh systems of all checks as far as they have values.
 
     For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
     """
-    rounding, judged = rounding_at(transcribed, point, check.reaches), spread_functionals(transcribed.problem)
+    judged = spread_functionals(check.problem)
 
-    def is_certain(i: int, one: AbstractFunctional) -> bool:
-        negligible = max(rounding[one], 0.0 if one in judged else NEGLIGIBLE_SPREAD * check.reaches[i])
-        spreads = [np.max(other.spread(i), initial=0.0) for other in (check, *further)]
-        return bool(np.max(check.stds[i]) <= negligible) and not any(spread > negligible for spread in spreads)
+    def is_certain(one: AbstractFunctional, own: Checked) -> bool:
+        negligible = max(check.rounding[one], 0.0 if one in judged else NEGLIGIBLE_SPREAD * own.reach)
+        spreads = [np.max(other.functionals[one].spread, initial=0.0) for other in (check, *further)]
+        return bool(np.max(own.std) <= negligible) and not any(spread > negligible for spread in spreads)
 
-    return tuple(one for i, one in enumerate(functionals_of(transcribed.problem.expressions)) if is_certain(i, one))
-
-
-def pieces(problem: Problem) -> int:
-    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none.
-
-    What follows trajectories is arbitrary between two instants.
-    """
-    return max(map(_pieces, problem.simulation.phases.values()))
-
-
-def _pieces(phase: Simulation) -> int:
-    parts = phase.system, phase.inputs
-    whole = least_steps(parts) if piecewise_in(parts) else 0
-    splines = (one.count - one.degree for one in parts_in(parts, BSpline))
-    return max([bool(parts_in(parts, AbstractTrajectory)), whole, *splines])
-
-
-def parts_in(tree: Any, kind: type[_Part]) -> list[_Part]:
-    """All parts of a model that are of a kind, including those inside parts of other kinds."""
-    leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, kind))
-    return [one for one in leaves if isinstance(one, kind)]
+    return tuple(one for one, own in check.functionals.items() if is_certain(one, own))

@@ -1,16 +1,23 @@
-"""Fresh systems, which no solver has seen, and the weights with which they stand for all."""
+"""What a solver has not seen: fresh systems, with the weights by which they stand for all, and finer grids."""
 
+import math
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import Expression, Problem, divides_steps, statistics_in
+from aleator.design import Expression, Problem, divides_steps, functionals_of, statistics_in
+from aleator.dynamics import FINER, Simulation
 from aleator.ensemble import at_levels, random_levels
 from aleator.statistics import CornishFisher, Kurtosis, Skewness
+from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
 from aleator.uncertainty import AbstractGerm
 
+# Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
+# then the least number of steps in all, and between two knots.
+_FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
 # Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
 _FRESH = 32
 # Fresh systems of an answer where these leave a doubt. Of one or two germ variables they cover the range densely, as
@@ -21,6 +28,8 @@ _EVEN_STEPS = {1: (0.6180339887498949,), 2: (0.7548776662466927, 0.5698402909980
 # The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median. Third
 # and fourth powers owe something to more than 5.
 _DEEPEST, DEEPEST_OF_SHAPES, _SHALLOWEST = 1e-5, 1e-8, 0.5
+
+_Part = TypeVar("_Part")
 
 OF_THE_SHAPE = (Skewness, Kurtosis, CornishFisher)
 """Statistics of third and fourth powers."""
@@ -100,3 +109,52 @@ def systems_of(problem: Problem, draw: int) -> FreshSystems:
     count = fresh_systems(germs, _FRESH, 0, deepest).draws[0]
     draws = (fresh_systems(germs, _FRESH, draw * count + one, deepest) for one in range(count))
     return FreshSystems(*map(np.concatenate, zip(*draws, strict=True)))
+
+
+def is_checked(problem: Problem) -> bool:
+    """Whether a problem simulates something that has a grid, or that is uncertain."""
+    has_parts = problem.system.has_time or bool(problem.placements.germs) or simulates_inside(problem)
+    return has_parts and bool(functionals_of(problem.expressions))
+
+
+def check_factor(problem: Problem, between: int | None) -> int:
+    """How many times as many steps the finer grid of a problem has, an odd prime number times what reaches the nodes of
+    its controls; 1 without time.
+
+    `between`: the least number, see `solve`.
+    """
+    if not functionals_of(problem.expressions):
+        return 1
+    if not problem.system.has_time:
+        return FINER if simulates_inside(problem) else 1
+    phases = problem.simulation.phases.values()
+    chosen = between if between is not None else _FOLLOWING if pieces(problem) else _PLAIN
+    by_piece = max(-(-_BY_PIECE * _pieces(one) // one.grid.steps) for one in phases)
+    least = max(chosen, -(-_FEWEST // problem.grid.steps), by_piece, 3)
+    # Steps end at each node of a control.
+    own = (math.lcm(least_steps((one.system, one.inputs)), one.grid.steps) // one.grid.steps for one in phases)
+    whole = math.lcm(*own)
+    least = max(3, -(-least // whole))
+    prime = next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
+    return whole * prime
+
+
+def pieces(problem: Problem) -> int:
+    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none.
+
+    What follows trajectories is arbitrary between two instants.
+    """
+    return max(map(_pieces, problem.simulation.phases.values()))
+
+
+def _pieces(phase: Simulation) -> int:
+    parts = phase.system, phase.inputs
+    whole = least_steps(parts) if piecewise_in(parts) else 0
+    splines = (one.count - one.degree for one in parts_in(parts, BSpline))
+    return max([bool(parts_in(parts, AbstractTrajectory)), whole, *splines])
+
+
+def parts_in(tree: Any, kind: type[_Part]) -> list[_Part]:
+    """All parts of a model that are of a kind, including those inside parts of other kinds."""
+    leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, kind))
+    return [one for one in leaves if isinstance(one, kind)]

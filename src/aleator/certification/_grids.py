@@ -1,7 +1,9 @@
-"""The error of a problem's own grid, by comparison with a finer one, and the finer grids to solve it on."""
+"""The error of a problem's own grid, by comparison with a finer one, and the finer grids to solve it on;
+likewise what an answer owes to widths of `al.smooth`.
+"""
 
 from collections.abc import Sequence
-from functools import cache
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,17 +15,16 @@ from aleator.certification._check import (
     Check,
     begin_check,
     bounded_by,
-    pieces,
-    rounding_at,
-    simulates_inside,
+    row_sizes,
     spread_functionals,
 )
+from aleator.certification._fresh import pieces, simulates_inside
 from aleator.certification._limits import OWN_ERROR, limits_at, reach_of
 from aleator.design import Problem, functionals_of, instants_of, is_over_time
 from aleator.dynamics import Instant
 from aleator.nlp import Status
-from aleator.solution import COSTLY, TOLERATED, Deviation, GridError, Solution
-from aleator.transcription import AbstractTranscribed
+from aleator.solution import COSTLY, TOLERATED, Deviation, GridError, Smoothing, Solution
+from aleator.transcription import AbstractTranscribed, excess_of
 
 # A magnitude below this part of its possible size is zero up to integration error.
 _NEGLIGIBLE_VALUE = 1e-3
@@ -41,18 +42,14 @@ _FINEST = 256
 _FALLS = 0.6
 
 
-def grid_error(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], finer: Check, accuracy: float
-) -> GridError:
+def grid_error(check: Check, accuracy: float) -> GridError:
     """The error of a problem's own grid at a point, by comparison with a finer one."""
-    problem, resolved, meaning = transcribed.problem, transcribed.resolve(point), transcribed.at(point)
-    functionals = functionals_of(problem.expressions)
-    reaches = dict(zip(functionals, finer.reaches, strict=True))
-    rounding, spreads = rounding_at(transcribed, point, finer.reaches), spread_functionals(problem)
-    deviations, every = {}, cache(lambda: transcribed.times(point))
-    for one, *moments in zip(functionals, finer.means, finer.stds, strict=True):
-        own, reach = resolved[one.text()], reaches[one]
-        mean, std = (np.atleast_1d(part)[:: finer.factor if one.is_path else 1] for part in moments)
+    transcribed, problem = check.transcribed, check.problem
+    resolved, spreads = transcribed.resolve(check.point), spread_functionals(problem)
+    deviations = {}
+    for one, finer in check.functionals.items():
+        own, reach, at = resolved[one.text()], finer.reach, check.own(one)
+        mean, std = np.atleast_1d(finer.mean[at]), np.atleast_1d(finer.std[at])
         change = np.maximum(np.abs(np.asarray(own.mean) - mean), np.abs(np.asarray(own.std) - std))
         spread, value, largest = float(np.max(std)), float(np.max(np.abs(mean))), float(np.max(change))
         magnitudes = [
@@ -66,41 +63,61 @@ def grid_error(
             magnitudes.append(_OF_A_SPREAD * spread)
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
-        size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding[one], _TINY) / accuracy)
-        times = instants_of(one, problem.grid, every)
+        rounding = max(ROUNDING * reach, check.rounding[one], _TINY)
+        size = max(min(magnitudes, default=alone), rounding / accuracy)
+        times = instants_of(one, problem.grid, lambda: check.times)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))])
         deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
-    objective, floor = meaning.objective, _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)
-    away, tolerated = abs(objective - float(finer.values[0])), accuracy * max(abs(objective), floor)
+    objective, floor = check.meaning.objective, _NEGLIGIBLE_VALUE * reach_of(problem.objective, check)
+    away, tolerated = abs(objective - float(check.values[0])), accuracy * max(abs(objective), floor)
     order = min([one.order for one in functionals_of((problem.objective,))], default=Deviation.order)
-    limits = limits_at(transcribed, point, finer)
+    limits = limits_at(check)
     # Of limits over time, what is exceeded on the finer grid is exceeded between the instants.
     broken = [one.broken(accuracy) for one in limits if not is_over_time(one.constraint)]
     return GridError(
         steps=problem.grid.steps,
-        factor=finer.factor,
-        integrator=finer.integrator,
+        factor=check.factor,
+        integrator=check.integrator,
         accuracy=accuracy,
         objective=Deviation(OWN_ERROR * away, max(tolerated, _TINY), order=order),
         functionals=deviations,
         broken=max(broken, default=(0.0, ""))[1],
-        unresolved=max([one.unresolved() for one in limits], default=(0.0, ""))[1]
-        or (_drifted(transcribed, point, accuracy) if finer.departed else ""),
+        unresolved=max([one.unresolved() for one in limits], default=(0.0, ""))[1] or _drifted(check, accuracy),
         pieces=pieces(problem) or 1,
         by_tolerances=problem.integrator.refined() is not problem.integrator,
         inside=simulates_inside(problem),
     )
 
 
-def _drifted(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], accuracy: float) -> str:
+def _drifted(check: Check, accuracy: float) -> str:
     """A sentence on errors that add up over a mesh, which no check of single steps sees; empty if they are small."""
-    drift = float(transcribed.meshes_at(point)[-1].drifts.sum(axis=1).max())
+    if not check.departed:
+        return ""
+    drift = float(check.transcribed.meshes_at(check.point)[-1].drifts.sum(axis=1).max())
     if drift <= _IN_ALL * accuracy:
         return ""
     return (
         f"states drift by {drift:.2g} of their magnitude in all, and no simulation confirms an unstable plan: ask for "
         "a smaller error of each interval, al.Simultaneous(error=...)"
     )
+
+
+def at_half_width(check: Check) -> Smoothing | None:
+    """Objective and limits of the same design at half the widths of `al.smooth`: what it owes to smoothing; None
+    without widths.
+    """
+    narrower, transcribed = check.problem.narrower(), check.transcribed
+    if narrower is None:
+        return None
+    again = begin_check(replace(transcribed, problem=narrower), check.point, check.factor, check.systems)()
+    sizes, moved, broken = row_sizes(transcribed, check.point), dict[str, float](), dict[str, None]()
+    each = zip(narrower.constraints, transcribed.rows, check.values[1:], again.values[1:], strict=True)
+    for one, rows, *values in each:
+        moved[one.name] = max(moved.get(one.name, 0.0), float(np.max(np.abs(values[1] - values[0]))))
+        before, after = (float(np.max(excess_of(one, value))) for value in values)
+        if not after <= max(before, 0.0) + TOLERATED * float(np.max(sizes[rows])):
+            broken[one.name] = None
+    return Smoothing(float(check.values[0]), float(again.values[0]), moved, tuple(broken))
 
 
 def misled_at(
@@ -124,10 +141,9 @@ def misled_at(
     ):
         return ""
     check = begin_check(transcribed, start, factor)()
-    rounding = rounding_at(transcribed, start, check.reaches)
-    for one, own, mean, std in zip(functionals_of(problem.expressions), begun, check.means, check.stds, strict=True):
-        true = float(np.sqrt(np.max(mean**2 + std**2)))
-        if not (own <= _FAR_OFF * true or own <= rounding[one]):
+    for own, (one, finer) in zip(begun, check.functionals.items(), strict=True):
+        true = float(np.sqrt(np.max(finer.mean**2 + finer.std**2)))
+        if not (own <= _FAR_OFF * true or own <= check.rounding[one]):
             return (
                 f"at the start of the search {problem.grid.steps} steps give {one.text()} as {own:.3g}, where "
                 f"{true:.3g} is right: the search may have avoided good designs"

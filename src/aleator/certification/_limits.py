@@ -14,14 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check, parts_in, row_sizes
+from aleator.certification._check import Check, row_sizes
+from aleator.certification._fresh import parts_in
 from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, instants_of, is_over_time, path_of
 from aleator.dynamics import Simulation
 from aleator.nlp import NonlinearProgram
 from aleator.solution import Between
 from aleator.statistics import Std, Variance
 from aleator.trajectories import BSpline, piecewise_in
-from aleator.transcription import AbstractTranscribed, bound_size
+from aleator.transcription import AbstractTranscribed, bound_size, excess_of
 from aleator.uncertainty import at_means, realise
 
 OWN_ERROR = 1.25
@@ -56,7 +57,7 @@ class Limit(NamedTuple):
     @property
     def beyond(self) -> Float[np.ndarray, " finer"]:
         """The largest excess over the bounds in each row of the finer grid."""
-        return _excess(self.constraint, self.fine)
+        return excess_of(self.constraint, self.fine).max(axis=1)
 
     def broken(self, accuracy: float) -> tuple[float, str]:
         """The excess on the finer grid over the size, and a sentence on it; zero and empty if the limit holds there.
@@ -82,7 +83,7 @@ class Limit(NamedTuple):
         windows = np.arange(len(self.own))[:, None] * self.factor + np.arange(-self.factor, self.factor + 1)
         around, there = self.fine[np.clip(windows, 0, len(self.fine) - 1)], self.fine[:: self.factor]
         away = OWN_ERROR * np.maximum(self.own - around.max(axis=1), around.min(axis=1) - self.own)
-        slack = np.minimum(float(self.constraint.upper) - there, there - float(self.constraint.lower))
+        slack = -excess_of(self.constraint, there)
         if any(isinstance(part, Peak) for part in functionals_of((self.constraint.expression,))):
             slack = np.full_like(slack, np.inf)  # what a peak exceeds between the instants is held there by margins
         magnitude = max(self.size, float(np.abs(self.own).max()), float(np.abs(self.fine).max()))
@@ -101,29 +102,27 @@ class Limit(NamedTuple):
         return f"'{self.constraint.name}' ({self.constraint})"
 
 
-def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> list[Limit]:
-    """All limits of a problem at a point, on both grids."""
-    meaning, rows = transcribed.at(point), functools.cache(lambda: row_sizes(transcribed, point))
-    grid, every = transcribed.problem.grid, functools.cache(lambda: transcribed.times(point))
-    reaches = dict(zip(functionals_of(transcribed.problem.expressions), check.reaches, strict=True))
-    limits = []
-    each = zip(transcribed.problem.constraints, meaning.constraints, check.values[1:], transcribed.rows, strict=True)
+def limits_at(check: Check) -> list[Limit]:
+    """All limits of a problem, on both grids."""
+    transcribed, limits = check.transcribed, []
+    rows = functools.cache(lambda: row_sizes(transcribed, check.point))
+    each = zip(check.problem.constraints, check.meaning.constraints, check.values[1:], transcribed.rows, strict=True)
     for one, own, fine, place in each:
-        times = instants_of(one, grid, every)
-        size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
-        own = transcribed.at_instants(one, own)
-        by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)
-        limits.append(Limit(one, *by_row, check.factor, size, times))
+        times = instants_of(one, check.problem.grid, lambda: check.times)
+        size = bound_size(one) or max(reach_of(one.expression, check), float(np.max(rows()[place])))
+        own = transcribed.at_instants(one, own).reshape(len(times), -1)
+        fine = fine.reshape(len(fine) if one.is_path else 1, -1)
+        limits.append(Limit(one, own, fine, check.factor, size, times))
     return limits
 
 
-def reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
-    """The possible size of an expression, from that of its functionals (`Check.reaches`); zero if unknown."""
+def reach_of(expression: Expression, check: Check) -> float:
+    """The possible size of an expression, from that of its functionals; zero if unknown."""
 
     def reach(atom: Any) -> float:
         if not isinstance(atom, Statistic):
             return 0.0
-        largest = reaches[atom.functionals[0]]
+        largest = check.functionals[atom.functionals[0]].reach
         if isinstance(atom.kind, Variance):
             return largest**2
         # A spread is no larger than the functional itself.
@@ -141,22 +140,19 @@ no path or peak, and for equalities, of which no margin can enforce both sides.
 """
 
 
-def excess_between(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
-) -> tuple[Between, Margins]:
+def excess_between(check: Check) -> tuple[Between, Margins]:
     """How far a problem's limits over time are exceeded on a finer grid at most, and how far each bound must move
     inwards so that the worst value near each instant meets it, negative where it may move outwards.
     """
-    between, shifts = Between(check.factor, 0.0, "", 0.0), []
-    model = realise(
-        at_means(transcribed.problem.simulation), jax_array(np.zeros(0)), jax_array(transcribed.decisions(point))
-    )
-    for limit, scale in zip(limits_at(transcribed, point, check), transcribed.scales, strict=True):
+    transcribed, between, shifts = check.transcribed, Between(check.factor, 0.0, "", 0.0), []
+    decisions = jax_array(transcribed.decisions(check.point))
+    model = realise(at_means(check.problem.simulation), jax_array(np.zeros(0)), decisions)
+    for limit, scale in zip(limits_at(check), transcribed.scales, strict=True):
         one, rows, shift, path = limit.constraint, limit.beyond, None, path_of(limit.constraint)
         if is_over_time(one):
             # Places in steps of the finer grid, with the excess before and after.
             sides = [
-                (place, float(_excess(one, before[None])[0]), float(_excess(one, after[None])[0]))
+                (place, float(excess_of(one, before).max()), float(excess_of(one, after).max()))
                 for place, before, after in (jumps(limit.fine, _knots(model.of(path))) if path else [])
             ]
             if float(one.lower) != float(one.upper):
@@ -169,10 +165,6 @@ def excess_between(
                 between = Between(check.factor, largest, one.name, float(limit.times[place // limit.factor]))
         shifts.append(shift)
     return between, tuple(shifts)
-
-
-def _excess(constraint: Constraint, values: Float[np.ndarray, "rows entries"]) -> Float[np.ndarray, " rows"]:
-    return np.maximum(values - float(constraint.upper), float(constraint.lower) - values).max(axis=1)
 
 
 def _knots(model: Simulation) -> Float[np.ndarray, " knots"]:

@@ -2,18 +2,23 @@
 simulation failed.
 """
 
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from aleator import _core
+from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWarning, GridWarning
 from aleator.certification._check import Check, certain
+from aleator.certification._grids import at_half_width
+from aleator.certification._second_opinion import second_opinion
 from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
 from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, PiecewiseBasis, unseen
-from aleator.nlp import Outcome, Status, missed_slope
+from aleator.nlp import HELD, Outcome, Status, missed_slope
 from aleator.solution import (
     MOST_NUMBERS,
     Between,
@@ -23,36 +28,40 @@ from aleator.solution import (
     ExpansionQuality,
     GridError,
     Moments,
-    SecondOpinion,
     Solution,
     Times,
     WorstCase,
     system_text,
 )
 from aleator.statistics import Covariance, Mean, Std, Variance
-from aleator.transcription import AbstractTranscribed, Meaning, as_read
+from aleator.transcription import OF_ROUNDING, AbstractTranscribed, Meaning, as_read
 from aleator.uncertainty import correlations_at
 
-# The relative error of an expansion that is tolerated for moments.
-_TRUSTED = {Mean: 1 / 3, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
-_TRUSTED_TANGENT = 1 / 3
+# The relative error of an expansion that is tolerated for moments and derivatives.
+_TRUSTED, _MOMENTS = 1 / 3, (Mean, Std, Variance, Covariance)
 # Differences that no data would show.
 _TOLERATED = 0.01
 
 
-def solution_of(
-    transcribed: AbstractTranscribed,
-    outcome: Outcome,
-    between: Between | None,
-    error: GridError | None,
-    worst_case: WorstCase | None,
-    misled: str,
-    check: Check | None,
-) -> Solution:
-    """The solution of a problem for an outcome of its program, but for the time of compilations.
+class Held(NamedTuple):
+    """The last program of a solution and its outcome, and what is known of it: None where it does not apply.
 
-    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `check`: at its point, if it is solved.
+    - `check`: that of the answer; `between`: how far limits break between the instants; `error`: that of the grid;
+      `worst_case`: the worst realisations; `misled`: see `Certificate`.
     """
+
+    transcribed: AbstractTranscribed
+    outcome: Outcome
+    check: Check | None = None
+    between: Between | None = None
+    error: GridError | None = None
+    worst_case: WorstCase | None = None
+    misled: str = ""
+
+
+def solution_of(held: Held) -> Solution:
+    """The solution of a problem for an outcome of its program, but for the time of compilations."""
+    transcribed, outcome, check = held.transcribed, held.outcome, held.check
     problem, places = transcribed.problem, transcribed.places
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
@@ -80,14 +89,14 @@ def solution_of(
             violation=outcome.violation,
             stationarity=outcome.stationarity,
             complementarity=outcome.complementarity,
-            expansion=quality_of(transcribed, outcome.point, check),
-            between=between,
-            grid_error=error,
-            worst_case=worst_case,
-            misled=misled,
+            expansion=_quality_of(transcribed, outcome.point, check),
+            between=held.between,
+            grid_error=held.error,
+            worst_case=held.worst_case,
+            misled=held.misled,
             crossed=crossed,
             departed="" if check is None else check.departed,
-            reaches={} if check is None else dict(zip(transcribed.texts.functionals, check.reaches, strict=True)),
+            reaches={} if check is None else {one.text(): own.reach for one, own in check.functionals.items()},
         ),
         effort=Effort(
             solver=outcome.solver,
@@ -109,20 +118,20 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
 
 
 def _constraint_results(transcribed: AbstractTranscribed, outcome: Outcome, meaning: Meaning) -> list[ConstraintResult]:
-    each = transcribed.problem.constraints, transcribed.texts.constraints, transcribed.rows, meaning.constraints
+    each = transcribed.problem.constraints, transcribed.rows, meaning.constraints
     results = []
-    for one, text, rows, own in zip(*each, strict=True):
+    for one, rows, own in zip(*each, strict=True):
         times = transcribed.times_limited(outcome.point, path_of(one)) if one.is_path else None
         parts = as_read(one, transcribed.scenarios, own, outcome.multipliers[rows], outcome.active[rows])
         if times is not None:  # rows by instant, if there are several at each
             parts = (part if len(part) == len(times) else part.reshape(len(times), -1) for part in parts)
         values, multipliers, active = parts
         bounds, size = (float(one.lower), float(one.upper)), float(outcome.sizes[rows].max())
-        results.append(ConstraintResult(one.name, text, *bounds, values, times, multipliers, active, size))
+        results.append(ConstraintResult(one.name, str(one), *bounds, values, times, multipliers, active, size))
     return results
 
 
-def quality_of(
+def _quality_of(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check | None
 ) -> ExpansionQuality:
     """The quality of the expansions at a point. Errors of what is constant count as zero."""
@@ -131,7 +140,7 @@ def quality_of(
     # Limits on the worst case use the model itself.
     expanded = {one.text(): one.place for one in expanded_functionals(problem.expressions)}
     resolved = {text: one for text, one in transcribed.resolve(point).items() if text in expanded}
-    constant = [] if check is None else [one.text() for one in certain(transcribed, point, check)]
+    constant = [] if check is None else [one.text() for one in certain(check)]
     varying = {text: one for text, one in resolved.items() if text not in constant}
     return ExpansionQuality(
         order=basis.order,
@@ -155,7 +164,23 @@ def quality_of(
     )
 
 
-def untrusted(solution: Solution) -> str:
+def with_opinion(solution: Solution, held: Held) -> Solution:
+    """A solution with what fresh systems say of its expansions, unless its grid is no good already."""
+    if not solution.ok:
+        return solution
+    certificate = replace(
+        solution.certificate,
+        opinion=None if held.check is None else second_opinion(held.check),
+        smoothing=None if held.check is None else at_half_width(held.check),
+        # A search has compared values.
+        lost="" if solution.effort.searched else _lost_derivatives(held, solution.multipliers),
+        untrusted=_untrusted(solution),
+        correlations=_moved_correlations(solution.problem, solution.vector),
+    )
+    return replace(solution, certificate=certificate)
+
+
+def _untrusted(solution: Solution) -> str:
     """A sentence on the statistic whose expansion is least accurate, or the derivative by a parameter of a distribution
     that an optimum inside its bounds follows from, if too inaccurate to act on; empty if none is.
 
@@ -164,35 +189,33 @@ def untrusted(solution: Solution) -> str:
     higher tolerance accepts it for all of them.
     """
     problem, quality = solution.problem, solution.certificate.expansion
-    worst, sentence = 1.0, ""
+    # By how many times what is tolerated something is missed, and a sentence on it.
+    missed = [(1.0, "")]
     for one in statistics_in(problem.expressions):
-        most = max(quality.tolerance, _TRUSTED.get(type(one.kind), 0.0))
-        for functional in one.functionals:
-            error = quality.leave_one_out.get(functional.text(), 0.0)
+        most = max(quality.tolerance, _TRUSTED if isinstance(one.kind, _MOMENTS) else 0.0)
+        for text in (functional.text() for functional in one.functionals):
+            error = quality.leave_one_out.get(text, 0.0)
             # If no points are left to check it by, the error is infinite, and fresh simulations decide.
-            if not np.isinf(error) and not error <= worst * most:
-                worst = error / most
-                sentence = (
-                    f"it misses {functional.text()} by {error:.2g} of its standard deviation, where {one.text()} asks "
-                    f"for {most:.2g} at most"
+            if not np.isinf(error):
+                said = (
+                    f"it misses {text} by {error:.2g} of its standard deviation, where {one.text()} asks for {most:.2g}"
                 )
+                missed.append((np.inf if np.isnan(error) else error / most, f"{said} at most"))
     results = zip(problem.constraints, solution.constraints, strict=True)
     held = (limit.expression for limit, result in results if np.any(result.active))
     holding = {one.text() for one in expanded_functionals((problem.objective, *held))}
-    most = max(quality.tolerance, _TRUSTED_TANGENT)
+    most = max(quality.tolerance, _TRUSTED)
     for text, parameter, error in quality.every_tangent:
-        if text in holding and parameter not in solution.at_bounds and np.isfinite(error) and error > worst * most:
-            worst = error / most
-            sentence = (
-                f"it misses the derivative of {text} by {parameter}, which the optimum follows from, by {error:.2g} of "
-                f"its standard deviation, where {most:.2g} is the most"
-            )
-    return sentence
+        if text in holding and parameter not in solution.at_bounds and np.isfinite(error):
+            said = f"it misses the derivative of {text} by {parameter}, which the optimum follows from, by {error:.2g}"
+            missed.append((error / most, f"{said} of its standard deviation, where {most:.2g} is the most"))
+    return max(missed, key=lambda one: one[0])[1]
 
 
-def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str]:
-    """Why the statistics of an expansion cannot be trusted, a sentence each; empty if they can."""
-    sentences = []
+def doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
+    """What is warned of: sentences with the kinds of their warnings."""
+    certificate = solution.certificate
+    quality, opinion, sentences = certificate.expansion, certificate.opinion, []
     if not quality.is_conditioned:
         sentences.append(
             f"The collocation matrix has condition number {quality.condition_number:.1e} (limit "
@@ -212,21 +235,45 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
         )
     if opinion is not None and not opinion.agrees:
         sentences.append(f"{opinion}. {opinion.remedy}")
-    return sentences
+    if sentences and solution.status is not Status.EVALUATION_FAILED:
+        yield ExpansionWarning, f"{'. '.join(sentences)}, and compare with al.validate"
+    if certificate.correlations:
+        yield CorrelationWarning, certificate.correlations
+    if not solution.ok:
+        return
+    for one in solution.constraints:
+        largest = float(np.max(np.abs(one.values)))
+        if one.scale == OF_ROUNDING and 0 < largest <= HELD * OF_ROUNDING:
+            yield (
+                AleatorWarning,
+                f"constraint '{one.name}' is taken to hold: its values, {largest:.2g} at most, count as rounding of "
+                "zero. If they mean something, let the output be in a smaller unit",
+            )
+    mesh, error, between = solution.mesh, certificate.grid_error, certificate.between
+    if mesh is not None and not mesh.is_met:
+        yield (
+            GridWarning,
+            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, "
+            "declare the jump (al.StepFunction) or make it smooth; or ask for less",
+        )
+    if error is not None and not error.is_met:
+        yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
+    if certificate.smoothing is not None and certificate.smoothing.broken:
+        yield GridWarning, str(certificate.smoothing)
+    if between is not None and between.is_costly:
+        yield GridWarning, str(between)
 
 
-def lost_derivatives(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
-) -> str:
+def _lost_derivatives(held: Held, multipliers: Float[np.ndarray, " rows"]) -> str:
     """A sentence on values around an answer that do not follow their derivatives; empty if all do.
 
     Asked of equations alone that may lose derivatives, and of a user's own functions: JAX's are exact elsewhere.
     """
-    problem = transcribed.problem
+    problem = held.transcribed.problem
     equations = problem.simulation.equations
     if not (problem.code or (equations is not None and equations.may_lose_derivatives)):
         return ""
-    miss = missed_slope(transcribed.program, point, multipliers)
+    miss = missed_slope(held.transcribed.program, held.outcome.point, multipliers)
     if miss is None:
         return ""
     return (
@@ -236,7 +283,7 @@ def lost_derivatives(
     )
 
 
-def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> str:
+def _moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> str:
     """Which correlations differ from those declared, in a sentence; empty if none does."""
     places = problem.placements
     if not any(one.dependence is not None and one.shape_is_decided for one in places.distributions.values()):

@@ -17,9 +17,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Use, evaluate
-from aleator.certification._check import ROUNDING, Check, checks_at
+from aleator.certification._check import ROUNDING, Check
 from aleator.certification._fresh import FreshSystems
-from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
+from aleator.design import AbstractScopeOfInstants, Expression, Statistic, statistics_in
 from aleator.statistics import (
     AbstractStatistic,
     AbstractTail,
@@ -28,7 +28,7 @@ from aleator.statistics import (
     points_in_tail,
     tail_proposal,
 )
-from aleator.transcription import AbstractTranscribed
+from aleator.transcription import excess_of
 from aleator.uncertainty import named_numbers
 
 # An error of a statistic that moves an optimum: this part of its distance from the mean or of a tenth of the spread;
@@ -44,16 +44,23 @@ _AROUND = 0.1
 class _Tail(NamedTuple):
     """A statistic in an expression: which one, of which entry of a path, and what it says.
 
-    - `functional`: its number among those of the problem; `entry`: an instant of the grid, none without time;
+    - `entry`: an instant of the finer grid, none without time;
     - `value`, `mean`, `std`: the statistic, and the moments of the functional.
     """
 
     atom: Statistic
-    functional: int
     entry: tuple[int, ...]
     value: float
     mean: float
     std: float
+
+    @classmethod
+    def of(cls, atom: Statistic, entry: tuple[int, ...], check: Check) -> "_Tail":
+        """That of a statistic at an instant of the problem's own grid."""
+        at, functional = tuple(one * check.factor for one in entry), check.functionals[atom.functionals[0]]
+        return cls(
+            atom, at, float(check.statistics[atom][entry]), float(functional.mean[at]), float(functional.std[at])
+        )
 
     @property
     def tolerated(self) -> float:
@@ -101,43 +108,39 @@ class _Tail(NamedTuple):
 class KnownStatistics(AbstractScopeOfInstants):
     """A scope of statistics that are known, with a last axis of what they may be."""
 
-    def __init__(self, transcribed: AbstractTranscribed, point: np.ndarray, known: Mapping[str, np.ndarray]):
-        self._known, self._decisions = known, transcribed.at(point).decisions
-        self._simulation = transcribed.problem.simulation
-        self._times = lambda: transcribed.times(point)
+    def __init__(self, check: Check, known: Mapping[Statistic, np.ndarray]):
+        self._check, self._known = check, known
 
     @cached_property
     def step(self) -> float:  # type: ignore[override]
-        times = self._times()
+        times = self._check.times
         return float(times[1] - times[0]) if len(times) > 1 else 1.0
 
     @override
     def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:
-        return self._known[Statistic(functionals, kind).text()]  # type: ignore[return-value]
+        return self._known[Statistic(functionals, kind)]  # type: ignore[return-value]
 
     @override
     def value(self, name: str) -> Array:
         # The model's numbers take longer than all the rest, and few problems need any.
-        return named_numbers(self._simulation, jax_array(self._decisions))[name]
+        return named_numbers(self._check.problem.simulation, jax_array(self._check.meaning.decisions))[name]
 
 
-def tail_objections(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check, varying: Collection[str]
-) -> Iterator[tuple[str, bool]]:
+def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[str, bool]]:
     """A sentence on each statistic of a tail that fresh systems in it contradict or cannot confirm, and whether the
     answer hangs on it.
 
     `varying`: the texts of the functionals that are not certain.
     """
-    problem, known = transcribed.problem, {}
+    problem, known = check.problem, {}
     for which, expression in enumerate(problem.expressions):
-        gaps = _gaps(transcribed, point, which - 1) if which else None
+        gaps = -excess_of(problem.constraints[which - 1], check.at_instants(which - 1)) if which else None
         for atom in statistics_in((expression,)):
             one = atom.functionals[0]
             if not isinstance(atom.kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
                 continue
             entry = (int(np.argmin(gaps)),) if one.is_path and gaps is not None else ()
-            tail = _tail(transcribed, atom, entry, check)
+            tail = _Tail.of(atom, entry, check)
             if tail.std <= ROUNDING * abs(tail.mean):
                 continue  # A path may be certain at some instants, as at its start.
 
@@ -145,12 +148,10 @@ def tail_objections(
                 by: float, expression: Expression = expression, atom: Statistic = atom, gaps: Any = gaps
             ) -> bool:
                 """Whether the answer may hang on an error of this size: a limit that is not nearly active does not."""
-                if gaps is None:
-                    return True
-                return not float(np.min(gaps)) > 2 * _effect(transcribed, point, check, expression, atom, by)
+                return gaps is None or not float(np.min(gaps)) > 2 * _effect(check, expression, atom, by)
 
             if (atom, entry) not in known:
-                known[atom, entry] = _error(transcribed, point, check, tail, matters)
+                known[atom, entry] = _error(check, tail, matters)
             error, uncertainty, count = known[atom, entry]
             by = abs(error) + 2 * uncertainty
             if abs(error) <= tail.tolerated and (by <= 3 * tail.tolerated or not matters(by)):
@@ -158,55 +159,26 @@ def tail_objections(
             seen = f"{tail.value + error:.4g} ± {2 * uncertainty:.2g}"
             sentence = f"{atom.text()} is {tail.value:.4g} by the expansion, and {seen} by {count} systems in its tail"
             if gaps is None:
-                effect = _effect(transcribed, point, check, expression, atom, by)
-                gained = abs(transcribed.at(transcribed.program.start).objective - transcribed.at(point).objective)
-                yield sentence, not effect <= gained
+                yield sentence, not _effect(check, expression, atom, by) <= check.gained
             else:
                 yield f"'{problem.constraints[which - 1].name}': {sentence}", matters(by)
 
 
-def _gaps(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], number: int
-) -> Float[np.ndarray, " rows"]:
-    """How far a limit is from its nearer bound, at each instant of the grid."""
-    limit = transcribed.problem.constraints[number]
-    values = transcribed.at_instants(limit, transcribed.at(point).constraints[number])
-    return np.minimum(float(limit.upper) - values, values - float(limit.lower))
-
-
-def _tail(transcribed: AbstractTranscribed, atom: Statistic, entry: tuple[int, ...], check: Check) -> _Tail:
-    value = check.at_own(transcribed.problem)[atom][entry]
-    number = functionals_of(transcribed.problem.expressions).index(atom.functionals[0])
-    at = tuple(one * check.factor for one in entry)
-    moments = (float(np.asarray(every[number])[at]) for every in (check.means, check.stds))
-    return _Tail(atom, number, at, float(value), *moments)
-
-
-def _error(
-    transcribed: AbstractTranscribed,
-    point: Float[np.ndarray, " variables"],
-    check: Check,
-    tail: _Tail,
-    matters: Callable[[float], bool],
-) -> tuple[float, float, int]:
+def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple[float, float, int]:
     """The error of a statistic by fresh systems in its tail, its standard error, and their number.
 
     `matters`: whether the answer may hang on an error, below which no more systems are drawn.
     """
-    size = least = len(check.systems.points)
+    size, functional, of = len(check.systems.points), tail.atom.functionals[0], (slice(None), *tail.entry)
     values, predicted, weights = (np.zeros(0) for _ in range(3))
-    coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
-    basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.kind)
-    begin = checks_at(transcribed, point, check.factor)
+    coefficients, least = check.functionals[functional].coefficients[of], size
+    basis, lines = check.transcribed.discretised.basis, check.transcribed.constants.of(tail.kind)
     proposal = tail_proposal(basis, lines, coefficients, tail.chance, lower=tail.kind.tail(tail.value)[1])
     while True:
         draws = range(len(values) // size, -(-max(least, size) // size))
-        systems = (FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws)
-        waiting = [begin(drawn) for drawn in systems]
-        for one in (begun() for begun in waiting):
-            of = (slice(None), *tail.entry)
-            values = np.concatenate([values, one.fresh[tail.functional][of]])
-            predicted = np.concatenate([predicted, one.predicted[tail.functional][of]])
+        for one in check.again(FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws):
+            values = np.concatenate([values, one.functionals[functional].fresh[of]])
+            predicted = np.concatenate([predicted, one.functionals[functional].predicted[of]])
             weights = np.concatenate([weights, one.systems.weights])
         each, share = tail.differences(values, predicted, weights), weights / weights.sum()
         error = float(share @ each)
@@ -225,16 +197,9 @@ def _estimated(kind: AbstractTail, coefficients: Array, lines: Any) -> tuple[Arr
     return kind.estimated(coefficients, lines)
 
 
-def _effect(
-    transcribed: AbstractTranscribed,
-    point: Float[np.ndarray, " variables"],
-    check: Check,
-    expression: Expression,
-    moved: Statistic,
-    by: float,
-) -> float:
+def _effect(check: Check, expression: Expression, moved: Statistic, by: float) -> float:
     """How much an expression changes with one of its statistics."""
-    own = check.at_own(transcribed.problem)
-    known = {atom.text(): np.stack([value, value + by * (atom == moved)], axis=-1) for atom, value in own.items()}
-    values = np.asarray(expression.evaluate(KnownStatistics(transcribed, point, known)))
+    own = check.statistics.items()
+    known = {atom: np.stack([value, value + by * (atom == moved)], axis=-1) for atom, value in own}
+    values = np.asarray(expression.evaluate(KnownStatistics(check, known)))
     return float(np.max(np.abs(values[..., 1] - values[..., 0])))

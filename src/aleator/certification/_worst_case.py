@@ -2,6 +2,7 @@
 expansion.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple, final
 
 import jax
@@ -27,7 +28,7 @@ from aleator.design import (
 from aleator.ensemble import Points, corners_of, in_batches, inputs_at, search
 from aleator.nlp import HELD, Outcome
 from aleator.solution import WorstCase, WorstRealisation
-from aleator.transcription import AbstractTranscribed, Scenarios, germ_box
+from aleator.transcription import AbstractTranscribed, Scenarios, excess_of, germ_box
 from aleator.uncertainty import named_numbers
 
 # Points spread over the box in each search, and the most corners that are tried.
@@ -159,28 +160,38 @@ def broken_at(
     assert transcribed.scenarios is not None
     decisions = transcribed.decisions(outcome.point)
     points = _candidates(transcribed, oracle, outcome.point, seed)
-    beyond = oracle(oracle.germ(points), decisions).beyond
-    searched = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
     # The magnitudes of the limits, to which their violations are relative.
     pairs = zip(transcribed.problem.constraints, transcribed.rows, strict=True)
     sizes = np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
-    # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
-    allowed = np.maximum(beyond[: len(transcribed.scenarios.held)].max(axis=0), 0.0) + HELD / 2 * sizes
-    worst = np.stack([some[0] for some, _ in searched])
-    return oracle.germ(np.unique(np.concatenate(worth_imposing(searched, allowed)), axis=0)), oracle.germ(worst)
+    imposed = np.ones((len(transcribed.scenarios.held), len(sizes)), dtype=bool)
+    new, worst = worth_imposing(
+        lambda places: oracle(oracle.germ(places), decisions).beyond, points, imposed, sizes, seed
+    )
+    return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
 
 
 def worth_imposing(
-    searched: list[tuple[Float[np.ndarray, "_ variables"], Float[np.ndarray, " _"]]],
-    allowed: Float[np.ndarray, " limits"],
-) -> list[Float[np.ndarray, "_ variables"]]:
-    """The few points of a search at which each limit is exceeded by more than what is allowed, and not by far less than
-    at the worst.
+    excess_at: Callable[[Points], Float[np.ndarray, "points limits"]],
+    candidates: Points,
+    imposed: Bool[np.ndarray, "scenarios limits"],
+    sizes: Float[np.ndarray, " limits"],
+    seed: int,
+) -> tuple[list[Points], Points]:
+    """The few points of the unit box at which each limit is exceeded by more than at present, and not by far less than
+    at the worst; and the worst point of each limit.
+
+    - `candidates`: where a search begins, the present scenarios first; `imposed`: which limits hold at these;
+    - `sizes`: the magnitudes of the limits.
     """
-    return [
-        some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW]
-        for (some, excess), allowance in zip(searched, allowed, strict=True)
-    ]
+    beyond = excess_at(candidates)
+    # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
+    held = np.where(imposed, beyond[: len(imposed)], -np.inf).max(axis=0)
+    allowed = np.fmax(held, 0.0) + HELD / 2 * sizes  # NaN is worse than anything
+    new, worst = [], []
+    for (some, excess), allowance in zip(search(excess_at, candidates, beyond, seed), allowed, strict=True):
+        new.append(some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW])
+        worst.append(some[0])
+    return new, np.stack(worst)
 
 
 def worst_case_of(
@@ -220,6 +231,5 @@ def idle_scenarios(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[
     parts = transcribed.problem.constraints, transcribed.at(point).constraints, transcribed.scales
     for one, values, scale in zip(*parts, strict=True):
         if is_worst_case(one):
-            beyond = np.maximum(values - float(one.upper), float(one.lower) - values).reshape(-1, len(close))
-            close |= beyond.max(axis=0) > -_IDLE * scale
+            close |= excess_of(one, values).reshape(-1, len(close)).max(axis=0) > -_IDLE * scale
     return ~close

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from aleator.certification import worth_imposing
 from aleator.design import Problem, with_simulation
-from aleator.ensemble import corners_of, search, spread_over
-from aleator.nlp import HELD, Evaluation, NonlinearProgram, Outcome
+from aleator.ensemble import corners_of, spread_over
+from aleator.nlp import Evaluation, NonlinearProgram, Outcome
 from aleator.solution import Solution
 from aleator.transcription import AbstractTranscribed, Remembered
 from aleator.uncertainty import at_values, intervals_of
@@ -135,11 +135,6 @@ class Game:
         excess = single.limits.excess(values)
         return np.stack([excess[:, rows].max(axis=1) for rows in self.transcribed.rows], axis=1)
 
-    def candidates(self, scenarios: Sequence[Scenario], seed: int) -> Float[np.ndarray, "points intervals"]:
-        """Points of the unit box at which a search begins, the scenarios first."""
-        held = [(one.numbers - self.low) / (self.high - self.low) for one in scenarios]
-        return np.concatenate([np.stack(held), spread_over(len(self.low), seed)])
-
     def first(self, point: Float[np.ndarray, " n"]) -> list[Scenario]:
         """Scenarios to begin with: for each limit the corner at which it is worst."""
         corners = corners_of(len(self.low), MOST_CORNERS, np.random.default_rng(0))
@@ -151,23 +146,21 @@ class Game:
         self, single: NonlinearProgram, outcome: Outcome, scenarios: Sequence[Scenario], seed: int
     ) -> tuple[list[Scenario], int]:
         """Scenarios that break a limit by more than the present ones do, and how many values were tried."""
-        candidates, count = self.candidates(scenarios, seed), 0
+        held, count = [(one.numbers - self.low) / (self.high - self.low) for one in scenarios], 0
+        candidates = np.concatenate([np.stack(held), spread_over(len(self.low), seed)])
 
         def excess_at(points: Float[np.ndarray, "points intervals"]) -> Float[np.ndarray, "points limits"]:
             nonlocal count
             count += len(points)
             return self.beyond(single, outcome.point, points)
 
-        beyond = excess_at(candidates)
         imposed = np.stack([one.imposed for one in scenarios])
-        held = np.where(imposed, beyond[: len(scenarios)], -np.inf).max(axis=0)
         sizes, ends = np.zeros(imposed.shape[1]), np.cumsum([0, *(len(self.rows(one)) for one in scenarios)])
         for scenario, first, last in zip(scenarios, *(ends[:-1], ends[1:]), strict=True):
             own = np.zeros(len(single.constraint_lower))
             own[self.rows(scenario)] = outcome.sizes[first:last]
             sizes = np.maximum(sizes, [own[rows].max(initial=0.0) for rows in self.transcribed.rows])
-        allowed = np.fmax(held, 0.0) + HELD / 2 * sizes  # NaN is worse than anything
-        new = worth_imposing(search(excess_at, candidates, beyond, seed), allowed)
+        new, _ = worth_imposing(excess_at, candidates, imposed, sizes, seed)
         limits = np.arange(len(new))
         return [
             Scenario(self.numbers(one), limits == i)

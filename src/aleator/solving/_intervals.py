@@ -17,6 +17,7 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError
 from aleator.certification import (
     OWN_ERROR,
+    Held,
     Margins,
     begin_check,
     check_factor,
@@ -29,13 +30,14 @@ from aleator.certification import (
     prepare_check,
     solution_of,
     tightened,
+    with_opinion,
 )
 from aleator.design import Peak, Problem, declared_anew, functionals_of, value, with_simulation
 from aleator.ensemble import corners_of
 from aleator.nlp import HELD, AbstractSearch, Outcome, Status
 from aleator.solution import Solution, WorstCase, WorstRealisation
 from aleator.solving._game import LEVEL, MOST_CORNERS, Game, Scenario
-from aleator.solving._stages import Held, Stages, cost_of_margins, looked_around, with_opinion
+from aleator.solving._stages import Stages, cost_of_margins, looked_around
 from aleator.transcription import Sequential, transcribe
 from aleator.uncertainty import Decision, at_values, intervals_of, with_decisions
 
@@ -136,7 +138,7 @@ def _checked(
     for one, wait in [(one, begin_check(transcribed, one.outcome.point, factor)) for one in each]:
         check, between, shifts = wait(), None, ()
         if factor > 1 and stages.judges_between(game.problem):
-            between, shifts = excess_between(transcribed, one.outcome.point, check)
+            between, shifts = excess_between(check)
             is_strict = stages.between is not None or margins is not None or pieces(game.problem) > 0
             between = replace(between, is_strict=is_strict, cost=cost)
         yield one._replace(check=check, between=between), shifts
@@ -163,23 +165,18 @@ def _solution(
         said = diagnose(transcribed, broken)
         answers = [one._replace(outcome=replace(one.outcome, message=said)) for one in answers]
     for one, (numbers, _) in zip(answers, scenarios, strict=True):
-        point, check = one.outcome.point, one.check
-        error = None
+        check, error = one.check, None
         if check is not None and check.factor > 1:
-            error = grid_error(transcribed, point, check, stages.accuracy)
+            error = grid_error(check, stages.accuracy)
             # The objective of the program is a level, which no grid changes.
-            away = float(np.max(np.abs(check.values[-1] - transcribed.at(point).constraints[-1])))
+            away = float(np.max(np.abs(check.values[-1] - check.meaning.constraints[-1])))
             error = replace(error, objective=replace(error.objective, error=OWN_ERROR * away))
-        solution = solution_of(transcribed, one.outcome, one.between, error, None, "", check)
-        each.append(game.within_problem(with_opinion(solution, one), numbers))
+        each.append(game.within_problem(with_opinion(solution_of(one._replace(error=error)), one), numbers))
     highest = max(each, key=lambda one: one.objective)
     main = next((one for one in each if one.objection), highest)
     others = game.others(scenarios) if outcome.status is Status.SOLVED else []
     further = [
-        replace(
-            game.within_problem(solution_of(transcribed, own, None, None, None, "", None), one.numbers),
-            effort=main.effort,
-        )
+        replace(game.within_problem(solution_of(Held(transcribed, own)), one.numbers), effort=main.effort)
         for one, own in zip(others, game.within(others, outcome), strict=True)
     ]
     results, realisations = [], []

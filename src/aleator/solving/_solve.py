@@ -1,7 +1,7 @@
 """`solve`: its arguments, and the whole of a solution, stage by stage."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -10,26 +10,18 @@ import numpy as np
 
 from aleator._core.border import one_of, refusal, whole
 from aleator._core.compilation import Compiled
-from aleator._core.errors import (
-    AleatorWarning,
-    CorrelationWarning,
-    ExpansionWarning,
-    GridWarning,
-    ProblemError,
-    SimulationError,
-    SolveError,
-)
+from aleator._core.errors import ProblemError, SimulationError, SolveError
 from aleator._core.executors import check_executor
 from aleator._core.journalled import journalled
 from aleator._core.parallel import dropped_on_failure, heeding
-from aleator.certification import doubts, refinement, unconverged
+from aleator.certification import Held, doubts, refinement, unconverged, with_opinion
 from aleator.design import Problem, deterministic
-from aleator.nlp import HELD, AbstractSearch, AbstractSolver, Status
+from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
 from aleator.solving._integers import branched
 from aleator.solving._intervals import robust
-from aleator.solving._stages import Held, Stages, with_opinion
-from aleator.transcription import DEFAULT, OF_ROUNDING, AbstractTranscription, started_from
+from aleator.solving._stages import Stages
+from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 from aleator.uncertainty import intervals_of, tables_of
 
 # The finest accuracy of a grid that may be asked for.
@@ -173,7 +165,7 @@ def solve(
         raise SimulationError(solution.message)
     if throw and not solution.ok:
         raise SolveError(solution.why(), solution)
-    for kind, text in _doubts(solution):
+    for kind, text in doubts(solution):
         warnings.warn(f"{text[0].upper()}{text[1:]}.", kind, stacklevel=2)
     return solution
 
@@ -251,37 +243,3 @@ def _from_means(
     stages = stages._replace(transcription=stages.transcription.starting_from(mean))
     # Controls on a refined mesh have more values than the problem's.
     return stages, started_from(problem, mean), at_means
-
-
-def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
-    """What is warned of: sentences with the kinds of their warnings."""
-    certificate = solution.certificate
-    if solution.status is not Status.EVALUATION_FAILED:
-        sentences = doubts(certificate.expansion, certificate.opinion)
-        if sentences:
-            yield ExpansionWarning, f"{'. '.join(sentences)}, and compare with al.validate"
-    if certificate.correlations:
-        yield CorrelationWarning, certificate.correlations
-    if not solution.ok:
-        return
-    for one in solution.constraints:
-        largest = float(np.max(np.abs(one.values)))
-        if one.scale == OF_ROUNDING and 0 < largest <= HELD * OF_ROUNDING:
-            yield (
-                AleatorWarning,
-                f"constraint '{one.name}' is taken to hold: its values, {largest:.2g} at most, count as rounding of "
-                "zero. If they mean something, let the output be in a smaller unit",
-            )
-    mesh, error, between = solution.mesh, certificate.grid_error, certificate.between
-    if mesh is not None and not mesh.is_met:
-        yield (
-            GridWarning,
-            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, "
-            "declare the jump (al.StepFunction) or make it smooth; or ask for less",
-        )
-    if error is not None and not error.is_met:
-        yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
-    if certificate.smoothing is not None and certificate.smoothing.broken:
-        yield GridWarning, str(certificate.smoothing)
-    if between is not None and between.is_costly:
-        yield GridWarning, str(between)

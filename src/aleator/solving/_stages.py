@@ -15,9 +15,8 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.certification import (
-    Check,
+    Held,
     Oracle,
-    at_half_width,
     begin_check,
     broken_at,
     check_factor,
@@ -26,18 +25,14 @@ from aleator.certification import (
     grid_error,
     idle_scenarios,
     is_checked,
-    lost_derivatives,
     magnitudes_at,
     margins_for,
     misled_at,
-    moved_correlations,
     pieces,
     prepare_check,
     scenarios_at_start,
-    second_opinion,
     solution_of,
     tightened,
-    untrusted,
     worst_case_limits,
     worst_case_of,
 )
@@ -53,7 +48,7 @@ from aleator.nlp import (
     least_excess,
     restart_of,
 )
-from aleator.solution import Between, Solution, WorstCase
+from aleator.solution import Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
@@ -73,20 +68,6 @@ _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
 _ROUGH = 1e-4
-
-
-class Held(NamedTuple):
-    """The last program of a solution and its outcome.
-
-    `between`: how far limits break between the instants; `check`: that of the answer; `worst_case`: the worst
-    realisations; None where these do not apply.
-    """
-
-    transcribed: AbstractTranscribed
-    outcome: Outcome
-    between: Between | None = None
-    check: Check | None = None
-    worst_case: WorstCase | None = None
 
 
 class Stages(NamedTuple):
@@ -140,7 +121,7 @@ class Stages(NamedTuple):
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
-        transcribed, outcome, check = held.transcribed, held.outcome, held.check
+        transcribed, outcome = held.transcribed, held.outcome
         if outcome.status is Status.INTERRUPTED and outcome.searched is None:
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
@@ -151,13 +132,12 @@ class Stages(NamedTuple):
         if is_unknown and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
             misled = misled_at(transcribed, first, begun, outcome.point if is_solved else None, factor)
             if outcome.status is Status.INFEASIBLE and not misled:
-                least = begin_check(transcribed, outcome.point, factor)()
-                misled = grid_error(transcribed, outcome.point, least, self.accuracy).unresolved
+                misled = grid_error(begin_check(transcribed, outcome.point, factor)(), self.accuracy).unresolved
         error = None
-        if check is not None and factor > 1:
-            error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=misled)
-        misled = "" if is_solved else misled
-        return solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check), held
+        if held.check is not None and factor > 1:
+            error = replace(grid_error(held.check, self.accuracy), at_start=misled)
+        held = held._replace(outcome=outcome, error=error, misled="" if is_solved else misled)
+        return solution_of(held), held
 
     def answer_in_elements(
         self,
@@ -272,7 +252,7 @@ class Stages(NamedTuple):
         check = begin_check(transcribed, outcome.point, factor)()
         if factor == 1 or not self.judges_between(transcribed.problem):
             return held._replace(check=check)
-        between, shifts = excess_between(transcribed, outcome.point, check)
+        between, shifts = excess_between(check)
         best = outcome, check, between
         rounds, margins, latest = [outcome], None, between
         while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
@@ -285,7 +265,7 @@ class Stages(NamedTuple):
             if again.status is not Status.SOLVED:
                 break
             check = begin_check(transcribed, again.point, factor)()
-            latest, shifts = excess_between(transcribed, again.point, check)
+            latest, shifts = excess_between(check)
             rounds.append(again)
             if latest.worst <= best[2].worst:
                 best = again, check, latest
@@ -318,23 +298,6 @@ class Stages(NamedTuple):
             rounds += 1
         worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
-
-
-def with_opinion(solution: Solution, held: Held) -> Solution:
-    """A solution with what fresh systems say of its expansions, unless its grid is no good already."""
-    if not solution.ok:
-        return solution
-    transcribed, point = held.transcribed, held.outcome.point
-    certificate = replace(
-        solution.certificate,
-        opinion=None if held.check is None else second_opinion(transcribed, point, held.check),
-        smoothing=None if held.check is None else at_half_width(transcribed, point, held.check),
-        # A search has compared values.
-        lost="" if solution.effort.searched else lost_derivatives(transcribed, point, solution.multipliers),
-        untrusted=untrusted(solution),
-        correlations=moved_correlations(solution.problem, solution.vector),
-    )
-    return replace(solution, certificate=certificate)
 
 
 def cost_of_margins(loosest: float, tightest: float) -> float:

@@ -172,7 +172,7 @@ def _limit(
             systems += [inputs_at(transcribed.places, point, decisions) for point in points]
     return Limit(
         name=name,
-        texts=tuple(transcribed.texts.constraints[i] for i in pushing),
+        texts=tuple(str(transcribed.problem.constraints[i]) for i in pushing),
         times=tuple(sorted(times)),
         relaxed=size * (alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan),
         systems=tuple(systems),

@@ -8,6 +8,7 @@ from ._constraints import OF_ROUNDING as OF_ROUNDING
 from ._constraints import as_read as as_read
 from ._constraints import blind_decisions as blind_decisions
 from ._constraints import bound_size as bound_size
+from ._constraints import excess_of as excess_of
 from ._constraints import refuse_blind as refuse_blind
 from ._constraints import rows_by_name as rows_by_name
 from ._discretised import Discretised as Discretised

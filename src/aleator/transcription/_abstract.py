@@ -31,14 +31,6 @@ _SAME = 1e-12
 _Result = TypeVar("_Result")
 
 
-class Texts(NamedTuple):
-    """The texts of the statistics, functionals and constraints of a problem, in order."""
-
-    statistics: tuple[str, ...]
-    functionals: tuple[str, ...]
-    constraints: tuple[str, ...]
-
-
 @final
 class Remembered(Generic[_Result]):
     """A function of a point that remembers the latest: neither a start nor an answer is computed twice."""
@@ -195,16 +187,6 @@ class AbstractTranscribed(abc.ABC):
         """The problem's decisions at a point, or their part of any vector of the program's variables."""
         return point[self.decided]
 
-    @cached_property
-    def texts(self) -> Texts:
-        """The statistics, functionals and constraints as text."""
-        problem = self.problem
-        return Texts(
-            tuple(one.text() for one in statistics_in(problem.expressions)),
-            tuple(one.text() for one in functionals_of(problem.expressions)),
-            tuple(map(str, problem.constraints)),
-        )
-
     @property
     def places(self) -> Placements:
         """The problem's decisions and distributions."""
@@ -237,19 +219,20 @@ class AbstractTranscribed(abc.ABC):
 
     def statistics(self, point: Float[np.ndarray, " variables"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic in the problem, by its text."""
-        return dict(zip(self.texts.statistics, self.at(point).statistics, strict=True))
+        every = statistics_in(self.problem.expressions)
+        return {one.text(): values for one, values in zip(every, self.at(point).statistics, strict=True)}
 
     def resolve(self, point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
         """The moments and the quality of each functional's expansion, by its text. The latest are remembered."""
-        return dict(zip(self.texts.functionals, self._resolved(point), strict=True))
+        return self._resolved(point)
 
     @cached_property
-    def _resolved(self) -> Remembered[tuple[Resolved, ...]]:
+    def _resolved(self) -> Remembered[dict[str, Resolved]]:
         functionals = functionals_of(self.problem.expressions)
 
-        def at(point: Float[np.ndarray, " variables"]) -> tuple[Resolved, ...]:
+        def at(point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
             parts = zip(functionals, self.at(point).samples, self.at(point).tangents, strict=True)
-            return tuple(resolved(one, self.collocation, samples, tangents) for one, samples, tangents in parts)
+            return {one.text(): resolved(one, self.collocation, own, tangents) for one, own, tangents in parts}
 
         return Remembered(at)
 

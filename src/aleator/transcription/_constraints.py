@@ -241,9 +241,9 @@ def elsewhere(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[F
     return [near, *rng.uniform(low, high, (_TRIED, len(start)))]
 
 
-def rows_of(sizes: Int[np.ndarray, " constraints"]) -> tuple[slice, ...]:
-    """The rows of each constraint, from how many it has."""
-    ends = np.cumsum([0, *sizes]).tolist()
+def rows_of(values: Values) -> tuple[slice, ...]:
+    """The rows of each constraint in the vector of all."""
+    ends = np.cumsum([0, *map(len, values)]).tolist()
     return tuple(slice(first, last) for first, last in itertools.pairwise(ends))
 
 
@@ -301,7 +301,7 @@ def refuse_unsatisfiable(
         for i, (one, value, slope, scale) in enumerate(
             zip(problem.constraints, values, derivatives, scales, strict=True)
         )
-        if (row := ((excess := _excess(one, value)) > HELD * scale) & np.all(slope == 0, axis=1)).any()
+        if (row := ((excess := excess_of(one, value)) > HELD * scale) & np.all(slope == 0, axis=1)).any()
     ]
     if not suspects:
         return
@@ -337,6 +337,7 @@ def blind_decisions(outcome: Outcome, transcribed: AbstractTranscribed) -> str:
     return " and ".join(f"'{names[i]}'" for i in outcome.blind if i in names)
 
 
-def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:
+def excess_of(constraint: Constraint, values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """The excess of values over the nearer bound of a constraint, negative inside."""
     with np.errstate(invalid="ignore"):  # Infinite values of an infinite bound exceed nothing.
-        return np.maximum(value - float(constraint.upper), float(constraint.lower) - value)
+        return np.maximum(values - float(constraint.upper), float(constraint.lower) - values)

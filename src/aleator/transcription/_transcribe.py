@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from aleator._core.border import refusal, shown
+from aleator._core.border import one_of, refusal, shown
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
 from aleator.design import Problem, refuse_changed_code
@@ -73,38 +73,31 @@ def _checked(transcribed: Any, transcription: AbstractTranscription, problem: Pr
     At the initial decisions, the numbers of the program and of the point's meaning are compared.
     """
     who = f"{type(transcription).__name__}.transcribed"
-    if not isinstance(transcribed, AbstractTranscribed):
-        raise refusal(who, "an AbstractTranscribed", transcribed)
+    one_of(who, transcribed, AbstractTranscribed)
     if is_library(type(transcribed).__module__):
         return transcribed
-    program = transcribed.program
-    if not isinstance(program, NonlinearProgram):
-        raise refusal(f"{who}: program", "a NonlinearProgram", program)
+    program = one_of(f"{who}: program", transcribed.program, NonlinearProgram)
     size, initial = program.start.size, problem.placements.vector("initial")
     decided, count = np.asarray(transcribed.decided), len(problem.constraints)
     if decided.shape != initial.shape or not set(decided.tolist()) <= set(range(size)):
         raise refusal(f"{who}: decided", f"which {len(initial)} of its {size} variables are decisions", decided)
-    if len(transcribed.rows) != count:
-        raise refusal(f"{who}: rows", f"those of {count} constraints", transcribed.rows)
     point = np.asarray(transcribed.point(initial))
     if point.shape != (size,) or not np.array_equal(point[decided], initial):
         raise refusal(f"{who}: point", f"{size} numbers, the given decisions among them", point)
-    evaluation, meaning = program.evaluate(point), transcribed.at(point)
-    if not isinstance(evaluation, Evaluation):
-        raise refusal(f"{who}: program.evaluate", "an Evaluation", evaluation)
-    if not isinstance(meaning, Meaning) or len(meaning.constraints) != count:
-        raise refusal(f"{who}: at", f"a Meaning with the rows of {count} constraints", meaning)
-    _compare(f"{who}: the objective", evaluation.objective, meaning.objective)
+    evaluation = one_of(f"{who}: program.evaluate", program.evaluate(point), Evaluation)
+    meaning = one_of(f"{who}: at", transcribed.at(point), Meaning)
+    for name, rows in (("rows", transcribed.rows), ("at", meaning.constraints)):
+        if len(rows) != count:
+            raise refusal(f"{who}: {name}", f"those of {count} constraints", rows)
+    pairs: list[tuple[str, Any, Any]] = [("the objective", evaluation.objective, meaning.objective)]
     for one, rows, own in zip(problem.constraints, transcribed.rows, meaning.constraints, strict=True):
-        _compare(f"{who}: constraint '{one.name}'", evaluation.constraints[rows], own)
+        pairs.append((f"constraint '{one.name}'", evaluation.constraints[rows], own))
+    for what, *both in pairs:
+        ours, theirs = map(np.ravel, both)
+        same = ours.shape == theirs.shape
+        if not (same and np.allclose(ours, theirs, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)):
+            raise ProblemError(
+                f"{who}: {what}: expected equal numbers in the program and in the meaning of its point, at the start; "
+                f"received {shown(ours)} and {shown(theirs)}."
+            )
     return transcribed
-
-
-def _compare(what: str, program: Any, meaning: Any) -> None:
-    ours, theirs = np.ravel(program), np.ravel(meaning)
-    if ours.shape == theirs.shape and np.allclose(ours, theirs, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
-        return
-    raise ProblemError(
-        f"{what}: expected equal numbers in the program and in the meaning of its point, at the start; received "
-        f"{shown(ours)} and {shown(theirs)}."
-    )

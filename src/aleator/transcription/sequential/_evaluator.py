@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
@@ -29,10 +29,11 @@ from aleator.design import (
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
-from aleator.transcription._abstract import Remembered
+from aleator.transcription._abstract import Meaning, Remembered
+from aleator.transcription._discretised import Discretised
 from aleator.transcription._expansions import Terms, scope_from, seen, simulated
 from aleator.transcription.sequential._affine import Anchors
-from aleator.transcription.sequential._instantaneous import instantaneous, instantaneous_rows
+from aleator.transcription.sequential._instantaneous import Block, instantaneous, instantaneous_rows
 
 # Fewest points per part that are worth the overhead of a time step, and fewest numbers worth that of threads.
 _FEWEST_POINTS, _FEWEST_NUMBERS = 16, 200_000
@@ -45,26 +46,19 @@ _POINTS_OF_A_PART, _MOST_PARTS = 128, 8
 class Share(NamedTuple):
     """The contribution of some points.
 
-    - `samples`: each functional at the points; `finite`: whether all of these are;
+    - `samples`: each functional at the points;
     - `tangents`: the derivatives of samples (of a path at a few instants) by the decisions that are parameters of
       distributions; None if there are no such decisions;
+    - `finite`: whether all samples are;
     - `terms`: the points' share of the terms of expressions; `slopes`: its derivatives by the decisions, along a first
       axis of each array.
     """
 
     samples: tuple[Float[Array, "points ..."], ...]
-    finite: Bool[Array, ""]
     tangents: tuple[Float[Array, "points ... parameters"] | None, ...]
+    finite: Bool[Array, ""]
     terms: Terms
     slopes: Terms
-
-
-class Combined(NamedTuple):
-    """Some expressions: their values, flattened, the derivatives of these, and the statistics in each, in order."""
-
-    values: tuple[Float[Array, " rows"], ...]
-    derivatives: tuple[Float[Array, "rows n"], ...]
-    statistics: tuple[tuple[Float[Array, "..."], ...], ...]
 
 
 def share_of(
@@ -92,8 +86,7 @@ def share_of(
     # Tangents along the first axis: along the last one, inner loops would run over the shortest of all axes.
     (terms, _), (slopes, looked_at), samples = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(decisions.size))
     of_distributions = tuple(jnp.moveaxis(one, 0, -1)[..., jnp.array(parameters)] for one in looked_at)
-    finite = jnp.array([jnp.isfinite(one).all() for one in samples]).all()
-    return Share(samples, finite, of_distributions or (None,) * len(functionals), terms, slopes)
+    return Share(samples, of_distributions or (None,) * len(functionals), _are_finite(samples), terms, slopes)
 
 
 def combined(
@@ -103,7 +96,7 @@ def combined(
     terms: Terms,
     slopes: Terms,
     decisions: Float[Array, " n"],
-) -> Combined:
+) -> list[Block]:
     """Expressions from the terms of all points, with derivatives by the chain rule."""
     functionals = functionals_of(expressions)
 
@@ -115,7 +108,7 @@ def combined(
 
     every = jnp.eye(decisions.size)
     values, derivatives, taken = jax.vmap(along, out_axes=(None, 0, None))(slopes, every)
-    return Combined(values, tuple(one.T for one in derivatives), taken)
+    return [Block(value, along.T, own) for value, along, own in zip(values, derivatives, taken, strict=True)]
 
 
 def parts_of(
@@ -141,47 +134,23 @@ def parts_of(
     return list(zip(np.split(points, number), np.split(fit, number, axis=1), strict=True))
 
 
-class Blocks(NamedTuple):
-    """A problem at one point.
+class Evaluated(NamedTuple):
+    """A problem at some decisions.
 
-    - `values`, `derivatives`: the objective, then the rows of each constraint, and their derivatives by the decisions:
-      shapes (rows,) and (rows, n);
-    - `sizes`: the number of rows of each;
-    - `statistics`: all statistics in the expressions, in the order of `statistics_in`;
-    - `times`: the instants of the grid;
-    - `samples_in_parts`, `tangents_in_parts`: `samples` and `tangents` in the parts in which they were simulated; only
-      the first `points` of them count.
+    - `derivatives`: of the objective, shape (1, n), then of the rows of each constraint, shape (rows, n);
+    - `times`: the instants of the grid.
     """
 
-    values: Float[np.ndarray, " rows"]
-    derivatives: Float[np.ndarray, "rows n"]
-    sizes: Int[np.ndarray, " expressions"]
-    statistics: tuple[Float[np.ndarray, "..."], ...]
+    meaning: Meaning
+    derivatives: list[Float[np.ndarray, "rows n"]]
     times: Float[np.ndarray, " instants"]
-    samples_in_parts: tuple[tuple[Any, ...], ...]
-    tangents_in_parts: tuple[tuple[Any, ...], ...]
-    points: int
 
     @property
-    def samples(self) -> tuple[Float[np.ndarray, "points ..."], ...]:
-        """Each functional at the collocation points."""
-        return tuple(self._whole(parts) for parts in zip(*self.samples_in_parts, strict=True))
-
-    @property
-    def tangents(self) -> tuple[Float[np.ndarray, "points ... parameters"] | None, ...]:
-        """The derivatives of each functional's samples by the decisions that are parameters of distributions.
-
-        Those of a path at a few instants; None if they are not computed.
-        """
-        every = zip(*self.tangents_in_parts, strict=True)
-        return tuple(None if parts[0] is None else self._whole(parts) for parts in every)
-
-    def _whole(self, parts: tuple[Any, ...]) -> np.ndarray:
-        return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)[: self.points]
-
-    def by_constraint(self, rows: np.ndarray) -> list[np.ndarray]:
-        """An array of rows, such as `derivatives`, split by constraint."""
-        return np.split(rows, np.cumsum(self.sizes)[:-1])[1:]
+    def evaluation(self) -> Evaluation:
+        """The same in the solver's terms."""
+        gradient, *jacobian = self.derivatives
+        rows = np.concatenate([np.zeros(0), *self.meaning.constraints])
+        return Evaluation(self.meaning.objective, gradient[0], rows, np.concatenate([gradient[:0], *jacobian]))
 
 
 def _evaluate(
@@ -190,29 +159,37 @@ def _evaluate(
     constants: Constants,
     anchors: Anchors | None,
     decisions: Float[Array, " n"],
-) -> tuple[Any, ...]:
-    """The parts of `Blocks`, with exact derivatives.
+) -> tuple[tuple[list[Block], Array], tuple[Any, ...]]:
+    """The blocks of a problem and the instants, then samples, their derivatives, and whether they are finite, see
+    `Share`.
 
     Expressions with rows of one instant each are differentiated instant by instant.
     """
     which = instantaneous(problem)
-    rest = tuple(i for i in range(len(problem.expressions)) if i not in which)
+    rest = [i for i in range(len(problem.expressions)) if i not in which]
     expressions = tuple(problem.expressions[i] for i in rest)
     functionals, points = functionals_of(expressions), (collocation.points, collocation.pseudo_inverse)
     share = share_of(problem, functionals, *points, constants.scenarios, decisions)
-    parts = combined(problem, expressions, constants, share.terms, share.slopes, decisions)
+    blocks = dict(
+        zip(rest, combined(problem, expressions, constants, share.terms, share.slopes, decisions), strict=True)
+    )
     tangents = dict(zip(functionals, share.tangents, strict=True))
     samples = dict(zip(functionals, share.samples, strict=True))
-    by_expression = dict(zip(rest, zip(*parts, strict=True), strict=True))
     if which:
-        rows = instantaneous_rows(problem, which, collocation, constants, anchors, decisions)
-        by_expression |= dict(zip(which, zip(rows.values, rows.derivatives, rows.statistics, strict=True), strict=True))
-        samples |= rows.samples
-    parts = Combined(*zip(*(by_expression[i] for i in range(len(problem.expressions))), strict=True))
-    ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
-    finite = jnp.array([jnp.isfinite(one).all() for one in ordered]).all()
-    ordered_tangents = tuple(tangents.get(one) for one in functionals_of(problem.expressions))
-    return *_points_together(problem, parts, finite, decisions), (ordered,), (ordered_tangents,)
+        rows, own = instantaneous_rows(problem, which, collocation, constants, anchors, decisions)
+        blocks |= zip(which, rows, strict=True)
+        samples |= own
+    every, times = functionals_of(problem.expressions), grid_at(problem, decisions).times
+    ordered = tuple(samples[one] for one in every)
+    return ([blocks[i] for i in sorted(blocks)], times), (
+        ordered,
+        tuple(map(tangents.get, every)),
+        _are_finite(ordered),
+    )
+
+
+def _are_finite(samples: tuple[Array, ...]) -> Bool[Array, ""]:
+    return jnp.array([jnp.isfinite(one).all() for one in samples]).all()
 
 
 def _contribute(
@@ -221,32 +198,15 @@ def _contribute(
     return share_of(problem, functionals_of(problem.expressions), points, fit, None, decisions)
 
 
-class _Shares(NamedTuple):
-    """The shares of all parts: `terms` and `slopes` of each, whether it is `finite`, and the `decisions`."""
-
-    terms: tuple[Terms, ...]
-    slopes: tuple[Terms, ...]
-    finite: tuple[Array, ...]
-    decisions: Float[Array, " n"]
-
-
-def _combine(problem: Problem, constants: Constants, shares: _Shares) -> tuple[Any, ...]:
-    first, *others = zip(shares.terms, shares.slopes, strict=True)
-    terms, slopes = reduce(lambda one, other: jax.tree.map(jnp.add, one, other), others, first)
-    finite, decisions = shares.finite, shares.decisions
-    parts = combined(problem, problem.expressions, constants, terms, slopes, decisions)
-    return _points_together(problem, parts, jnp.array(finite).all(), decisions)
-
-
-def _points_together(
-    problem: Problem, parts: Combined, finite: Array, decisions: Float[Array, " n"]
-) -> tuple[Any, ...]:
-    """The first parts of `Blocks`, those of all points together."""
-    # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
-    every = jnp.where(finite, jnp.concatenate(parts.values), jnp.nan)
-    sizes = jnp.array([one.size for one in parts.values])
-    statistics = tuple(one for part in parts.statistics for one in part)
-    return every, jnp.concatenate(parts.derivatives), sizes, statistics, grid_at(problem, decisions).times
+def _combine(
+    problem: Problem, constants: Constants, shares: tuple[tuple[Terms, ...], tuple[Terms, ...], Array]
+) -> tuple[list[Block], Array]:
+    """The blocks and the instants from terms and slopes of all parts, and the decisions."""
+    every, decisions = zip(*shares[:2], strict=True), shares[2]
+    terms, slopes = reduce(lambda one, other: jax.tree.map(jnp.add, one, other), every)
+    return combined(problem, problem.expressions, constants, terms, slopes, decisions), grid_at(
+        problem, decisions
+    ).times
 
 
 def use_of(problem: Problem, collocation: Collocation, *_: Any) -> Use:
@@ -278,8 +238,9 @@ class Evaluator:
     on all cores and devices.
     """
 
-    def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
-        self._made_of = traced, collocation, anchors
+    def __init__(self, traced: Problem, discretised: Discretised, anchors: Anchors | None):
+        _, collocation, constants = discretised
+        self.anchors = anchors
         self._points, parts = len(collocation.points), parts_of(traced, collocation, constants)
         self._combine = None if len(parts) == 1 else COMBINE.bound(traced, constants)
         self._programs = (
@@ -287,7 +248,7 @@ class Evaluator:
             if self._combine is None
             else [CONTRIBUTE.bound(traced, *map(jax_array, part), packed=False) for part in parts]
         )
-        self._remembered: Remembered[Blocks] = Remembered(self._evaluate)
+        self._remembered: Remembered[Evaluated] = Remembered(self._evaluate)
 
     def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
         """Whether a problem of the same structure has been compiled before."""
@@ -298,35 +259,30 @@ class Evaluator:
         share = self._programs[0].begin(decisions)
         meanwhile()
         if self._combine is not None and share is not None:
-            every = [share] * len(self._programs)
-            _, finite, _, terms, slopes = zip(*every, strict=True)
-            self._combine.prepare(_Shares(terms, slopes, finite, jax_array(decisions)))
+            *_, terms, slopes = zip(*[share] * len(self._programs), strict=True)
+            self._combine.prepare((terms, slopes, jax_array(decisions)))
 
-    def with_constants(self, constants: Constants) -> "Evaluator":
-        """The same problem with other constants, such as other scenarios."""
-        traced, collocation, anchors = self._made_of
-        return Evaluator(traced, collocation, constants, anchors)
-
-    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
+    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         return self._remembered(decisions)
 
-    def _evaluate(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
+    def _evaluate(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         if self._combine is None:
-            return Blocks._make((*self._programs[0](decisions), self._points))
-        # The calling thread traces a user's code before other threads start.
-        for program in self._programs:
-            program.prepare(decisions)
-        shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
-        samples, finite, tangents, terms, slopes = zip(*shares, strict=True)
-        sums = self._combine(_Shares(terms, slopes, finite, jax_array(decisions)))
-        return Blocks._make((*sums, samples, tangents, self._points))
+            (blocks, times), (samples, tangents, is_finite) = self._programs[0](decisions)
+        else:
+            # The calling thread traces a user's code before other threads start.
+            for program in self._programs:
+                program.prepare(decisions)
+            shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
+            *parts, finite, terms, slopes = zip(*shares, strict=True)
+            blocks, times = self._combine((terms, slopes, jax_array(decisions)))
+            samples, tangents = (tuple(map(self._whole, zip(*some, strict=True))) for some in parts)
+            is_finite = all(finite)
+        # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
+        values = [one.values if is_finite else np.full_like(one.values, np.nan) for one in blocks]
+        taken = tuple(statistic for one in blocks for statistic in one.statistics)
+        meaning = Meaning(decisions, float(values[0][0]), values[1:], samples, tangents, taken)
+        return Evaluated(meaning, [one.derivatives for one in blocks], times)
 
-
-def evaluation_of(blocks: Blocks) -> Evaluation:
-    """A point in the solver's terms."""
-    return Evaluation(
-        objective=float(blocks.values[0]),
-        gradient=blocks.derivatives[0],
-        constraints=blocks.values[1:],
-        jacobian=blocks.derivatives[1:],
-    )
+    def _whole(self, parts: tuple[Any, ...]) -> Any:
+        """An array of all points, or None, from those of the parts in which they were simulated."""
+        return None if parts[0] is None else np.concatenate(parts)[: self._points]

@@ -38,18 +38,12 @@ from aleator.transcription.sequential._affine import Anchors, affine_features, a
 from aleator.uncertainty import named_numbers, realise
 
 
-class Rows(NamedTuple):
-    """Some expressions over all instants.
+class Block(NamedTuple):
+    """An expression: its values, flattened, the derivatives of these, and the statistics in it, in order."""
 
-    - `values`, `derivatives`: of each, shapes (rows,) and (rows, n), instant by instant;
-    - `samples`: each of their functionals at the collocation points, shape (points, instants);
-    - `statistics`: those of each expression, in order.
-    """
-
-    values: tuple[Float[Array, " rows"], ...]
-    derivatives: tuple[Float[Array, "rows n"], ...]
-    samples: dict[AbstractFunctional, Float[Array, "points instants"]]
-    statistics: tuple[tuple[Float[Array, " instants"], ...], ...]
+    values: Float[Array, " rows"]
+    derivatives: Float[Array, "rows n"]
+    statistics: tuple[Float[Array, "..."], ...]
 
 
 def instantaneous(problem: Problem) -> tuple[int, ...]:
@@ -75,8 +69,8 @@ def instantaneous_rows(
     constants: Constants,
     anchors: Anchors | None,
     decisions: Float[Array, " n"],
-) -> Rows:
-    """The expressions `which` of a problem and their derivatives, instant by instant."""
+) -> tuple[list[Block], dict[AbstractFunctional, Float[Array, "points instants"]]]:
+    """The expressions `which` of a problem, instant by instant, and their functionals at the collocation points."""
     expressions = tuple(problem.expressions[i] for i in which)
     fixed, direct = frozen(problem)
 
@@ -101,14 +95,12 @@ def instantaneous_rows(
         return values, (values, tuple(samples.values()), taken)
 
     slopes, (values, samples, taken) = jax.vmap(lambda one: _differentiated(row, one))(now.rows)
-    derivatives = jnp.einsum("trk,tkn->rtn", slopes, inner)
-    ends = np.cumsum(sizes)[:-1]
-    return Rows(
-        tuple(jnp.ravel(one.T) for one in jnp.split(values.T, ends)),
-        tuple(jnp.moveaxis(one, 0, 1).reshape(-1, one.shape[-1]) for one in jnp.split(derivatives, ends)),
-        dict(zip(instant.functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True)),
-        taken,
-    )
+    derivatives = jnp.einsum("trk,tkn->trn", slopes, inner)
+    parts = (jnp.split(every, np.cumsum(sizes)[:-1], axis=1) for every in (values, derivatives))
+    return [
+        Block(jnp.ravel(one), along.reshape(-1, decisions.size), own)
+        for one, along, own in zip(*parts, taken, strict=True)
+    ], dict(zip(instant.functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True))
 
 
 def _differentiated(

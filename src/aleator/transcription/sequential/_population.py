@@ -105,23 +105,17 @@ def valued_by(executor: Executor | None, program: NonlinearProgram, where: str) 
             f"{where}: executor: expected transcription=al.Sequential(), whose designs other processes can simulate; "
             "received a transcription of another kind."
         )
-    return replace(program, values=_Elsewhere(program.values, executor, where))
+    population, made_of = program.values, packed(executor, Population, program.values.made_of)
 
-
-@final
-class _Elsewhere:
-    """A population by an executor, in calls of the same size as here, so that digits are the same."""
-
-    def __init__(self, population: Population, executor: Executor, where: str):
-        self._population, self._executor, self._where = population, executor, where
-        self._made_of = {"made_of": packed(executor, Population, population.made_of)}
-
-    def __call__(self, decisions: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
-        size = self._population.size(len(decisions))
+    def values(decisions: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        """In calls of the same size as here, so that digits are the same."""
+        size = population.size(len(decisions))
         calls = [one.points for one in parts(decisions, size)]
-        results = each_of(self._executor, _rows_there, calls, {**self._made_of, "size": size}, self._where)
+        results = each_of(executor, _rows_there, calls, {"made_of": made_of, "size": size}, where)
         rows = np.concatenate([some for _, some in results])
         return rows[:, 0], rows[:, 1:]
+
+    return replace(program, values=values)
 
 
 def _rows_there(

@@ -40,7 +40,7 @@ from aleator.transcription._constraints import (
 from aleator.transcription._discretised import Discretised, discretised
 from aleator.transcription._expansions import scope_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
-from aleator.transcription.sequential._evaluator import Evaluator, evaluation_of, use_of
+from aleator.transcription.sequential._evaluator import Evaluator, use_of
 from aleator.transcription.sequential._instantaneous import anchors_of, instantaneous
 from aleator.transcription.sequential._population import Population
 
@@ -121,15 +121,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
 
     @override
     def at(self, point: Float[np.ndarray, " n"]) -> Meaning:
-        blocks = self.evaluator(point)
-        return Meaning(
-            decisions=point,
-            objective=float(blocks.values[0]),
-            constraints=blocks.by_constraint(blocks.values),
-            samples=blocks.samples,
-            tangents=blocks.tangents,
-            statistics=blocks.statistics,
-        )
+        return self.evaluator(point).meaning
 
     @override
     def times(self, point: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
@@ -140,15 +132,15 @@ class SequentiallyTranscribed(AbstractTranscribed):
     def at_scenarios(self, scenarios: Scenarios) -> "SequentiallyTranscribed":
         """The same program with limits on the worst case imposed at other scenarios; more slots need compilation."""
         discretised = self.discretised.at_scenarios(scenarios)
-        evaluator, program = self.evaluator.with_constants(discretised.constants), self.program
+        evaluator, program = Evaluator(self.traced, discretised, self.evaluator.anchors), self.program
         same = self.scenarios is not None and len(scenarios.used) == len(self.scenarios.used)
-        rows = self.rows if same else rows_of(evaluator(program.start).sizes[1:])
+        rows = self.rows if same else rows_of(evaluator(program.start).meaning.constraints)
         lower, upper = row_bounds(self.problem.constraints, rows, scenarios)
         scales = [float(program.constraint_scale[one.start]) for one in self.rows]
         sizing = replace(self.sizing, rows=rows)
         program = replace(
             program,
-            evaluate=lambda decisions: evaluation_of(evaluator(decisions)),
+            evaluate=lambda decisions: evaluator(decisions).evaluation,
             constraint_lower=lower,
             constraint_upper=upper,
             constraint_scale=spread(rows, scales),
@@ -189,7 +181,7 @@ class Sequential(AbstractTranscription):
         discretisation = discretisation.at_scenarios(scenarios)
         start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         anchors = anchors_of(traced, discretisation.collocation, start)
-        evaluator = Evaluator(traced, discretisation.collocation, discretisation.constants, anchors)
+        evaluator = Evaluator(traced, discretisation, anchors)
         if not evaluator.is_known(start):
             # Compiled on another core, and meanwhile the check on this one.
             evaluator.begin(start, lambda: meanwhile(problem, discretisation)())
@@ -200,12 +192,12 @@ class Sequential(AbstractTranscription):
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
         # The start comes last, so that the evaluator still remembers it when it is needed again.
         at_start = evaluator(start)
-        rows = rows_of(at_start.sizes[1:])
-        values, derivatives = map(at_start.by_constraint, (at_start.values, at_start.derivatives))
+        values, (_, *derivatives) = at_start.meaning.constraints, at_start.derivatives
+        rows = rows_of(values)
         unknown = not beside and needs_more(problem.constraints, values, derivatives, decision_scale)
         seen = [at_start, *beside, *([evaluator(around[0])] if unknown else [])]
-        away = largest_of([one.by_constraint(one.values) for one in seen])
-        samples = dict(zip(functionals_of(problem.expressions), at_start.samples, strict=True))
+        away = largest_of([one.meaning.constraints for one in seen])
+        samples = dict(zip(functionals_of(problem.expressions), at_start.meaning.samples, strict=True))
 
         def std_of(functional: AbstractFunctional) -> Float[np.ndarray, "..."]:
             terms = discretisation.collocation.coefficients(jax_array(samples[functional]))
@@ -220,13 +212,13 @@ class Sequential(AbstractTranscription):
             derivatives,
             sizes,
             at_start.times,
-            lambda: [(blocks := evaluator(one)).by_constraint(blocks.values) for one in elsewhere(start, lower, upper)],
+            lambda: [evaluator(one).meaning.constraints for one in elsewhere(start, lower, upper)],
         )
         paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
-        nonzero = [one.derivatives[1:] != 0 for one in (at_start, *beside)]
+        nonzero = [one.evaluation.jacobian != 0 for one in (at_start, *beside)]
         constraint_lower, constraint_upper = row_bounds(problem.constraints, rows, scenarios)
         program = NonlinearProgram(
-            evaluate=lambda decisions: evaluation_of(evaluator(decisions)),
+            evaluate=lambda decisions: evaluator(decisions).evaluation,
             start=start,
             lower=lower,
             upper=upper,
