@@ -1,6 +1,7 @@
 """Feedback around a decided plan, against SciPy and closed forms."""
 
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ class Cart(al.System):
 
 
 @cache
-def steered() -> al.Solution:
+def steered(**way: Any) -> al.Solution:
     """From rest to rest over 1 m in 1 s, with least effort."""
     problem = al.Problem(
         Cart(m=al.Uniform(1.0, half_width=0.2)),
@@ -46,7 +47,7 @@ def steered() -> al.Solution:
         ],
         expansion=al.Expansion(order=5),
     )
-    return al.solve(problem)
+    return al.solve(problem, **way)
 
 
 def by_numpy(u, gains, fine=10):
@@ -94,6 +95,15 @@ def test_no_other_plan_and_gains_take_less_effort_by_scipy():
     )
     assert peer.success
     assert steered().objective == pytest.approx(peer.fun, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_collocation_decides_the_same_plan_and_gains():
+    shot, collocated = steered(), steered(transcription=al.Simultaneous(al.schemes.GaussLegendre(3)))
+    assert collocated.ok
+    assert collocated.objective == pytest.approx(shot.objective, rel=1e-6)
+    for name, values in shot.decisions.items():
+        assert collocated.decisions[name] == pytest.approx(values, abs=1e-3)
 
 
 def test_the_answer_is_certified_and_its_motions_have_the_plan():
