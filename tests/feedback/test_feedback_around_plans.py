@@ -101,7 +101,8 @@ def test_no_other_plan_and_gains_take_less_effort_by_scipy():
 def test_collocation_decides_the_same_plan_and_gains():
     shot, collocated = steered(), steered(transcription=al.Simultaneous(al.schemes.GaussLegendre(3)))
     assert collocated.ok
-    assert collocated.objective == pytest.approx(shot.objective, rel=1e-6)
+    # Runge's method errs by 2.4e-6 m at the end, and a metre costs 2 * 12.3: the effort grows as its square.
+    assert collocated.objective == pytest.approx(shot.objective, abs=2.4e-6 * 24.6)
     for name, values in shot.decisions.items():
         assert collocated.decisions[name] == pytest.approx(values, abs=1e-3)
 
