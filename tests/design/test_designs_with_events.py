@@ -115,9 +115,6 @@ def test_what_has_no_meaning_with_events_is_refused_where_it_is_declared():
     for words, make in {
         "no event 'tip'.*Did you mean 'top'": lambda: problem(minimize=al.at("tip").mean),
         "no event 'land'": lambda: problem(grid=al.Grid(until="land", at_most=1.0, steps=4)),
-        "Rodas5P does not look for its event 'top'": lambda: problem(
-            minimize=top.mean, integrator=al.integrators.Rodas5P()
-        ),
         "no output": lambda: problem(minimize=al.at("top", "z").mean),
         "each realisation ends at its own 'ground'": lambda: problem(minimize=al.time_integral(al.path("x").std)),
         "at: event": lambda: al.at(3.0),  # pyright: ignore[reportArgumentType]
@@ -126,6 +123,22 @@ def test_what_has_no_meaning_with_events_is_refused_where_it_is_declared():
             make()
     with pytest.raises(al.ProblemError, match="no place for the event 'top'"):
         al.solve(problem(grid=al.Grid(1.0, 4), minimize=top.mean), transcription=al.Simultaneous())
+
+
+@pytest.mark.slow
+def test_a_design_is_judged_at_events_inside_its_grid_by_an_adaptive_integrator_too():
+    # Without drag the top is at v^2 sin 2a / (2 g): farthest by 45 degrees, with the mean of v^2 over U(19, 21).
+    found = al.solve(
+        problem(
+            Shot(al.Uniform(20.0, half_width=1.0), al.Decision(0.7, 0.3, 1.2)),
+            al.Grid(2.5, 5),
+            -al.at("top", "x").mean,
+            integrator=al.integrators.Tsit5(),
+        )
+    )
+    assert found.ok
+    assert found.decisions["angle"] == pytest.approx(np.pi / 4, abs=1e-6)
+    assert found.objective == pytest.approx(-(400 + 1 / 3) / (2 * G), rel=1e-9)
 
 
 def test_the_time_of_an_event_has_a_name_and_a_unit():

@@ -13,40 +13,21 @@ from jaxtyping import Array
 import aleator as al
 from aleator.dynamics import Asked
 from aleator.uncertainty import realise
+from bouncing import (
+    ADAPTIVE,
+    LANDED,
+    Ball,
+    Grazing,
+    Parts,
+    Stopped,
+    agreeing,
+    refused,
+    second_flight,
+)
 from compiling import compiled
 from zoo import G, Shot
 
 FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
-
-
-class Ball(al.System):
-    """A ball that bounces: `v -> -e v` on the floor."""
-
-    states = ("y", "v")
-    e: al.Number = 0.7
-    height: al.Number = 1.0
-    events: ClassVar = {
-        "floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": -self.e * z.v})
-    }
-
-    def rhs(self, t, z):
-        return z.v, -G
-
-    def initial(self):
-        return {"y": self.height}
-
-    def outputs(self, t, z):
-        return {"h": z.y, "v": z.v}
-
-
-LANDED = al.Grid(until="ground", at_most=10.0, steps=40)
-
-
-def second_flight(e, height, t):
-    """The height of the ball between its second bounce and the third one."""
-    first = jnp.sqrt(2 * height / G)
-    after = t - first * (1 + 2 * e)
-    return e**2 * G * first * after - G / 2 * after**2
 
 
 def landing(speed, angle, height):
@@ -56,18 +37,10 @@ def landing(speed, angle, height):
     return jnp.stack([t, speed * jnp.cos(angle) * t])
 
 
-@pytest.mark.parametrize("integrator", FIXED, ids=str)
+@pytest.mark.parametrize("integrator", [*FIXED, *ADAPTIVE], ids=lambda one: type(one).__name__)
 def test_a_ball_bounces_wherever_in_a_step_and_twice_in_one(integrator):
     history = al.simulate(Ball(), al.Grid(1.2, 2), integrator=integrator)
     assert float(history["h"][-1]) == pytest.approx(float(second_flight(0.7, 1.0, 1.2)), abs=1e-13)
-
-
-def agreeing(simulated, exact, at, order):
-    """Pairs of the values of two functions, and of their derivatives up to an order, by one program."""
-    both = [(simulated, exact)]
-    for _ in range(order):
-        both.append(tuple(map(jax.jacfwd, both[-1])))
-    return jax.tree.map(np.asarray, compiled(lambda at: [(ours(at), right(at)) for ours, right in both])(np.array(at)))
 
 
 def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
@@ -136,9 +109,10 @@ def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
     assert float(found.std) == pytest.approx(np.sqrt(np.sum(weight * (values - mean) ** 2)), rel=1e-8)
 
 
-def test_an_uncertain_restitution_spreads_the_height_as_the_closed_form_says():
+@pytest.mark.parametrize("integrator", [None, *ADAPTIVE], ids=lambda one: type(one).__name__)
+def test_an_uncertain_restitution_spreads_the_height_as_the_closed_form_says(integrator):
     found = al.expand(
-        lambda at: al.simulate(Ball(at["e"]), al.Grid(1.2, 12))["h"][-1],
+        lambda at: al.simulate(Ball(at["e"]), al.Grid(1.2, 12), integrator=integrator)["h"][-1],
         {"e": al.Uniform(0.7, half_width=0.1)},
         al.Expansion(order=4),
     )
@@ -239,31 +213,6 @@ def test_functions_of_events_take_inputs():
         al.simulate(Switched(), grid)
 
 
-def refused(system, grid, *words):
-    with pytest.warns(al.SimulationWarning) as caught:
-        history = al.simulate(system, grid)
-    assert np.isnan(np.asarray(next(iter(history.values())))[-1]).all()
-    for word in words:
-        assert word in str(caught[0].message)
-
-
-class Parts(Ball):
-    """A ball that meets a wall at the floor, at the same time."""
-
-    events: ClassVar = {
-        **Ball.events,
-        "wall": al.Event(lambda self, t, z: 2 * z.y, jump=lambda self, t, z: {"v": 0 * z.v}),
-    }
-
-
-class Grazing(Shot):
-    events: ClassVar = {"ceiling": al.Event(lambda self, t, z: z.y - (self.speed * jnp.sin(self.angle)) ** 2 / (2 * G))}
-
-
-class Stopped(Ball):
-    events: ClassVar = {"floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": 0.0})}
-
-
 def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers():
     refused(Ball(0.5), al.Grid(3.0, 12), "meets 'floor' again and again", "e=0.5", "t = 1.3")
     refused(Shot(angle=-0.7), LANDED, "starts at 'ground'", "angle=-0.7")
@@ -280,26 +229,6 @@ def test_a_jump_that_stays_two_events_at_once_and_one_that_is_only_touched_are_t
 def test_events_that_nothing_can_look_for_are_refused():
     with pytest.raises(al.ProblemError, match=r"no event 'grond'.*Did you mean 'ground'"):
         al.simulate(Shot(), al.Grid(until="grond", at_most=1.0, steps=4))
-    with pytest.raises(al.ProblemError, match=r"Tsit5 does not look for its event.*RungeKutta4"):
-        al.simulate(Ball(), al.Grid(1.0, 4), integrator=al.integrators.Tsit5())
-
-
-@pytest.mark.parametrize(
-    "integrator", [al.integrators.Tsit5(), al.integrators.Rodas5P()], ids=lambda one: type(one).__name__
-)
-def test_an_adaptive_integrator_ends_at_an_event_with_the_derivatives_of_the_closed_form(integrator):
-    def simulated(angle):
-        return al.simulate(Shot(20.0, angle), al.Grid(until="ground", at_most=4.0, steps=4), integrator=integrator)
-
-    def ends(angle):
-        history = simulated(angle)
-        return history["time"][-1], history["x"][-1]
-
-    (time, place), (_, slope) = compiled(lambda angle: (ends(angle), jax.jacfwd(ends)(angle)))(0.7)
-    assert (time, place) == pytest.approx((40 * np.sin(0.7) / G, 400 * np.sin(1.4) / G), rel=1e-10)
-    assert float(slope) == pytest.approx(800 * np.cos(1.4) / G, rel=1e-8)
-    with pytest.warns(al.SimulationWarning, match=r"angle=0.7.*never meets 'ground'"):
-        al.simulate(Shot(20.0, 0.7), al.Grid(until="ground", at_most=1.0, steps=4), integrator=integrator)
 
 
 def declaring(*event, **fields):

@@ -1,6 +1,7 @@
 """Feedback around a decided plan, against SciPy and closed forms."""
 
 from functools import cache
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +30,7 @@ class Cart(al.System):
 
 
 @cache
-def steered() -> al.Solution:
+def steered(**way: Any) -> al.Solution:
     """From rest to rest over 1 m in 1 s, with least effort."""
     problem = al.Problem(
         Cart(m=al.Uniform(1.0, half_width=0.2)),
@@ -44,7 +45,7 @@ def steered() -> al.Solution:
         ],
         expansion=al.Expansion(order=5),
     )
-    return al.solve(problem)
+    return al.solve(problem, **way)
 
 
 def by_numpy(u, gains, fine=10):
@@ -92,6 +93,16 @@ def test_no_other_plan_and_gains_take_less_effort_by_scipy():
     )
     assert peer.success
     assert steered().objective == pytest.approx(peer.fun, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_collocation_decides_the_same_plan_and_gains():
+    shot, collocated = steered(), steered(transcription=al.Simultaneous(al.schemes.GaussLegendre(3)))
+    assert collocated.ok
+    # Runge's method errs by 2.4e-6 m at the end, and a metre costs 2 * 12.3: the effort grows as its square.
+    assert collocated.objective == pytest.approx(shot.objective, abs=2.4e-6 * 24.6)
+    for name, values in shot.decisions.items():
+        assert collocated.decisions[name] == pytest.approx(values, abs=1e-3)
 
 
 def test_the_answer_is_certified_and_its_motions_have_the_plan():

@@ -105,15 +105,9 @@ def _check_inputs(problem: AbstractProblem) -> None:
         check_variables(one.system)
         check_signals(one.system, one.grid, one.inputs)
         _refuse_jumps_inside(one.system)
-        _check_events(one.integrator, one.system, one.grid, within(phase, events) if phase else events)
+        for name in (*sorted(within(phase, events) if phase else events), one.grid.until):
+            refuse_unknown_event(one.system, name)
     _check_paths(problem)
-
-
-def _check_events(integrator: AbstractIntegrator, system: System, grid: Grid, events: frozenset[str]) -> None:
-    """Refuse events that a system does not have, or that nothing looks for."""
-    for name in (*sorted(events), grid.until):
-        refuse_unknown_event(system, name)
-    integrator.check_events(system, grid, events)
 
 
 def _check_paths(problem: AbstractProblem) -> None:

@@ -6,8 +6,6 @@ from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
-from aleator.dynamics._crossings import needed as needed
-from aleator.dynamics._crossings import watched as watched
 from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations
 from aleator.dynamics._equations import Start as Start
@@ -24,6 +22,7 @@ from aleator.dynamics._evaluation import observation as observation
 from aleator.dynamics._evaluation import solved_algebraic as solved_algebraic
 from aleator.dynamics._evaluation import with_algebraic as with_algebraic
 from aleator.dynamics._event import Event as Event
+from aleator.dynamics._explained import events_in_steps as events_in_steps
 from aleator.dynamics._explained import refuse_unknown_event as refuse_unknown_event
 from aleator.dynamics._extended import AbstractExtended as AbstractExtended
 from aleator.dynamics._grid import AbstractGrid as AbstractGrid
@@ -68,6 +67,8 @@ from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._simulate import time_switches as time_switches
 from aleator.dynamics._simulation import Simulation as Simulation
 from aleator.dynamics._simulation import simulation_of as simulation_of
+from aleator.dynamics._steps import needed as needed
+from aleator.dynamics._steps import watched as watched
 from aleator.dynamics._system import AbstractSystem as AbstractSystem
 from aleator.dynamics._system import End as End
 from aleator.dynamics._system import System as System

@@ -1,8 +1,8 @@
-"""Grids whose end or start is sought in each realisation: an event ends them, or they repeat.
+"""Grids that repeat: the start is sought in each realisation.
 
-What is sought, the final time and the initial states of a cycle, solves equations at the last instant. It is found
-without derivatives. Passes over the grid then correct it, and give its derivatives, one order each; the last one is the
-record. All of these are one loop, whose body is compiled once.
+What is sought, the initial states of a cycle and its final time where an event ends it, solves equations at the last
+instant. It is found without derivatives. Passes over the grid then correct it, and give its derivatives, one order
+each; the last one is the record. All of these are one loop, whose body is compiled once.
 """
 
 import math
@@ -17,55 +17,53 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator.dynamics._crossings import CLOSE, crosses_zero, crossing_of, is_near, nothing
+from aleator.dynamics._crossings import CLOSE, crosses_zero, nothing
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import after_events, derivative, event_levels, initial_state
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
+from aleator.dynamics._steps import Vector
 from aleator.dynamics._system import System
 
 # Passes that correct what is sought, those before the record.
 _PASSES = 5
 # Steps of Newton's method towards a cycle at most, and the shortest part of one that is tried.
 _MOST, _LEAST = 60, 2.0**-8
+# Halvings of a step in which an event is sought between instants.
+_HALVED = 20
 # The shortest period, as a part of the time until the latest end. An event before that is the one at the start.
 _SHORTEST = 0.05
 # Rates that differ by this part of the largest one are the same.
 _SAME = 1e-6
 
-Vector = Float[Array, " n"]
 Recorded = Callable[[System, Grid, Inputs, Asked], Record]
 
 
 def closed(record: Recorded, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-    """The record of a realisation that ends at the event `until`, or repeats, with its grid; NaN where it does not.
+    """The record of a realisation that repeats, with its grid; NaN where it does not.
 
     - `record`: that of an integrator; `inputs`: known on the whole grid, the system's own signals among them.
     """
-    closing = _Ending(record, system, grid, inputs)
-    if grid.periodic:
-        assert isinstance(system, TracedSystem)
-        closing = _Cycle(record, system, grid, inputs)
-    start, correct = closing.begun()
+    assert isinstance(system, TracedSystem)
+    cycle = _Cycle(record, system, grid, inputs)
+    start, inverse = cycle.begun()
 
-    def passed(state: tuple[Vector, Any], is_first: Array) -> tuple[tuple[Vector, Any], None]:
-        sought, _ = state
-        left, sizes, end, taken = closing.over(sought, asked._replace(states=True))
-        correction = correct(left)
+    def passed(state: tuple[Vector, Any], step: None) -> tuple[tuple[Vector, Any], None]:
+        del step
+        left, sizes, _, taken = cycle.over(state[0], asked._replace(states=True))
+        correction = inverse @ left
         length = stop_gradient(jnp.max(jnp.abs(correction) / jnp.where(sizes > 0, sizes, 1.0)))
-        return (jnp.where(is_first, end, sought - correction), (sought, length, taken)), None
+        return (state[0] - correction, (state[0], length, taken)), None
 
     zero, _ = nothing(start)
-    shapes = jax.eval_shape(lambda: closing.over(start, asked._replace(states=True)).taken)
+    shapes = jax.eval_shape(lambda: cycle.over(start, asked._replace(states=True)).taken)
     taken = jax.tree.map(lambda one: zero + one, (start, zero, zeros(shapes)))
-    searches = jnp.asarray(np.arange(_PASSES + 1 + (not grid.periodic)) < (not grid.periodic))
-    (_, (sought, length, taken)), _ = jax.lax.scan(passed, (zero + start, taken), searches)
-    if isinstance(closing, _Cycle):
-        states, end = (sought, grid.t_final) if grid.until is None else (sought[:-1], sought[-1])
-        length = jnp.where(repeats(system, grid, inputs, states, end), length, jnp.inf)
-    sought, taken = jax.tree.map(lambda one: jnp.where(length <= CLOSE, one, jnp.nan), (sought, taken))
-    if asked.multipliers and isinstance(closing, _Cycle):
-        taken = taken._replace(monodromy=closing.monodromy(sought))
+    (_, (sought, length, taken)), _ = jax.lax.scan(passed, (zero + start, taken), length=_PASSES + 1)
+    states, end = (sought, grid.t_final) if grid.until is None else (sought[:-1], sought[-1])
+    is_closed = (length <= CLOSE) & repeats(system, grid, inputs, states, end)
+    sought, taken = jax.tree.map(lambda one: jnp.where(is_closed, one, jnp.nan), (sought, taken))
+    if asked.multipliers:
+        taken = taken._replace(monodromy=cycle.monodromy(sought))
     history = {name: values for name, values in taken.history.items() if asked.states or name != STATES}
     return taken._replace(history=history, grid=grid.ending(sought[-1]) if grid.until else grid)
 
@@ -85,11 +83,6 @@ def repeats(
     return jnp.max(jnp.abs(after - before)) <= _SAME * jnp.max(jnp.abs(before))
 
 
-def met_about(record: Recorded, system: System, grid: Grid, inputs: Inputs) -> Float[Array, ""]:
-    """About when the event that ends a grid happens, up to its latest end, between two instants; NaN if it does not."""
-    return _Ending(record, system, grid, inputs).over(jnp.asarray(grid.t_final)[None], ONLY_STATES).end[0]
-
-
 class _Pass(NamedTuple):
     """What a pass over a grid says.
 
@@ -101,26 +94,6 @@ class _Pass(NamedTuple):
     sizes: Vector
     end: Float[Array, ""]
     taken: Record
-
-
-class _Ending(NamedTuple):
-    """A grid that ends by an event: the final time is sought, of which the function of the event is zero."""
-
-    record: Recorded
-    system: System
-    grid: Grid
-    inputs: Inputs
-
-    def begun(self) -> tuple[Float[Array, " 1"], Callable[[Vector], Vector]]:
-        """The latest end, and the correction for what is left, which `over` has divided by the rate."""
-        return jnp.asarray(self.grid.t_final)[None], lambda left: left
-
-    def over(self, sought: Float[Array, " 1"], asked: Asked) -> _Pass:
-        """A pass with this final time."""
-        grid = self.grid.ending(sought[0])
-        taken = self.record(self.system, grid, self.inputs, asked)
-        levels, rates, end = _levels_along(self.system, grid, self.inputs, taken.history[STATES])
-        return _Pass((levels[-1:] / rates[-1:]) * grid.step, jnp.asarray(grid.duration)[None], end[None], taken)
 
 
 class _Newton(NamedTuple):
@@ -164,11 +137,11 @@ class _Cycle(NamedTuple):
             sizes = jnp.zeros(len(shapes)).at[kin].max(sizes)[kin]
         if until is None:
             return _Pass(rows[-1] - states, sizes, jnp.asarray(jnp.nan), taken)
-        levels, _, end = _levels_along(self.system, grid, inputs, rows)
+        level, end = _level_along(self.system, grid, inputs, rows)
         where = list(self.system.declared_events).index(until)
         named = ravel_pytree(initial_state(self.system, grid.t_start, now(grid.t_start)))[1]
         arrived = after_events(self.system, grid.t_final, named(rows[-1]), now(grid.t_final))[where]
-        left = jnp.append(arrived - states, levels[-1])
+        left = jnp.append(arrived - states, level)
         return _Pass(left, jnp.append(sizes, grid.duration), end, taken)
 
     def slopes(self, sought: Vector) -> tuple[Float[Array, "n n"], _Pass]:
@@ -189,9 +162,9 @@ class _Cycle(NamedTuple):
         own = slopes[:-1, :-1] - jnp.outer(slopes[:-1, -1], slopes[-1, :-1]) / slopes[-1, -1]
         return own + jnp.eye(len(own))
 
-    def begun(self) -> tuple[Vector, Callable[[Vector], Vector]]:
-        """The cycle that Newton's method finds from the initial states of the system, and the correction for what is
-        left of the equations there, by the same derivatives: all without derivatives of their own.
+    def begun(self) -> tuple[Vector, Float[Array, "n n"]]:
+        """The cycle that Newton's method finds from the initial states of the system, and the inverse of the
+        derivatives there: all without derivatives of their own.
 
         NaN where it does not converge. A step that does not shorten the next one is tried in part.
         """
@@ -236,8 +209,7 @@ class _Cycle(NamedTuple):
         if until:
             # No time closes too.
             is_closed &= end.sought[-1] - grid.t_start > _SHORTEST * grid.duration
-        inverse = jnp.linalg.inv(end.slopes)
-        return jnp.where(is_closed, end.sought, jnp.nan), lambda left: inverse @ left
+        return jnp.where(is_closed, end.sought, jnp.nan), jnp.linalg.inv(end.slopes)
 
 
 def _stilled(leaf: Any) -> Any:
@@ -245,11 +217,11 @@ def _stilled(leaf: Any) -> Any:
     return stop_gradient(leaf) if eqx.is_array(leaf) else leaf
 
 
-def _levels_along(
+def _level_along(
     system: System, grid: Grid, inputs: Inputs, rows: Float[Array, "instants states"]
-) -> tuple[Float[Array, " instants"], Float[Array, " instants"], Float[Array, ""]]:
-    """The function of the event that ends a grid, at its instants; its rates in a step; and about when the event
-    happens, without derivatives, NaN if it does not.
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """The function of the event that ends a cycle, at its end; and about when it happens between two instants, without
+    derivatives, NaN if it does not.
     """
     assert grid.until is not None
     where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
@@ -264,11 +236,26 @@ def _levels_along(
     level, rate = jax.vmap(level_and_rate)(grid.times, rows)
     rate = rate * jnp.asarray(grid.step)  # in a step, as elsewhere
     known = stop_gradient((level[:-1], rate[:-1], level[1:], rate[1:]))
-    crosses = crosses_zero(*known, direction)
-    stood = is_near(known[0][0], known[1][0]) & (direction * rate[0] > 0)
-    if grid.periodic:
-        # A cycle starts where the one before ended, up to the error of the guess.
-        crosses, stood = crosses & (grid.fractions[1:] > _SHORTEST), False
+    # A cycle starts where the one before ended, up to the error of the guess.
+    crosses = crosses_zero(*known, direction) & (grid.fractions[1:] > _SHORTEST)
     k = jnp.argmax(crosses)
-    end = stop_gradient(grid.times[k] + crossing_of(*known)[k] * grid.step)
-    return level, rate, jnp.where(crosses.any() & ~stood, end, jnp.nan)
+    end = stop_gradient(grid.times[k] + _crossing_of(*known)[k] * grid.step)
+    return level[-1], jnp.where(crosses.any(), end, jnp.nan)
+
+
+def _crossing_of(level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
+    """Where levels that end on the other side of zero in an interval cross it, as a part of it: without derivatives.
+
+    By cubic Hermite interpolation, which is as accurate as a step of fourth order. `rise`: the rates by this part.
+    """
+    level, rise, level_at, rise_at = stop_gradient((level, rise, level_at, rise_at))
+
+    def halved(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        c = (low + high) / 2
+        d = 1 - c
+        middle = d * d * ((1 + 2 * c) * level + c * rise) + c * c * ((1 + 2 * d) * level_at - d * rise_at)
+        is_before = (middle >= 0) == (level + CLOSE * rise >= 0)
+        return jnp.where(is_before, c, low), jnp.where(is_before, high, c)
+
+    return jax.lax.fori_loop(0, _HALVED, halved, (jnp.zeros_like(level), jnp.ones_like(level)))[1]

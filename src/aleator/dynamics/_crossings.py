@@ -5,6 +5,8 @@ finds the event, by the function over its rate at the end of a shorter and short
 interval that is known to hold the first event, this is halved. Each correction multiplies errors of the time and of its
 derivatives of any order by the order of the error of the step: what the crossing does to derivatives of later states
 (saltation) comes out by itself.
+
+Steps are those of the grid, or of an adaptive method, which are looked at once their error is small enough.
 """
 
 from collections.abc import Callable
@@ -20,34 +22,31 @@ from jaxtyping import Array, Bool, Float, Int
 from aleator._core.equations import as_time, loop_while_any
 from aleator.dynamics._evaluation import (
     after_events,
+    algebraic_residuals,
     completed,
     event_levels,
+    guessed_algebraic,
     initial_state,
     observation,
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import Asked, Occurrence, Record, zeros
-from aleator.dynamics._steps import Steps, signals_within, steps_of
+from aleator.dynamics._steps import Method, Pace, Rates, Sizes, Steps, Vector, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
-from aleator.dynamics._tableaux import Tableau, square
 
-# Steps of the search for an event at most, and corrections of its time once it is found, for derivatives.
+# Steps of the search for an event at most, and corrections of its time afterwards, for derivatives.
 _SEARCHED, _CORRECTIONS = 24, 4
-# Halvings of a step in which an event is sought between instants.
-_HALVED = 20
 # A correction that is a smaller part of a step, or of the time, is rounding. Sides of zero look ahead by as much.
 CLOSE = 1e-9
 # A jump that leaves a smaller part of the rate of an event leaves it where it is.
 _LEAST = 1e-6
-# The most events in one step.
-_MOST = 12
+# The most events in one step of the grid; the shortest step of an adaptive method, relative to the time.
+_MOST, _SHORTEST = 12, 4 * float(np.finfo(float).eps)
 # What may go wrong.
-LOST, MANY, TOGETHER, STAYS, AT_START = range(1, 6)
+LOST, MANY, TOGETHER, STAYS, AT_START, GIVEN_UP = range(1, 7)
 # The phase of a step of the grid that is finished; less the number of what went wrong.
 _FINISHED = -1
-
-Vector = Float[Array, " n"]
 
 
 class Seen(NamedTuple):
@@ -58,22 +57,27 @@ class Seen(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What goes wrong in each step: what (0: nothing), with which event, and about when, s."""
+    """What goes wrong in each step: what (0: nothing), with which event, about when, s, and after how many."""
 
     kind: Int[Array, " steps"]
     event: Int[Array, " steps"]
     t: Float[Array, " steps"]
+    met: Int[Array, " steps"]
 
 
 class Course(NamedTuple):
-    """The integration of all steps of a grid; `places`: where its instants are among their beginnings; `seen`: when
-    events are first met, s, NaN where they are not.
+    """The integration of all steps of a grid.
+
+    - `places`: where its instants are among their beginnings; `seen`: when events are first met, s, NaN where they are
+      not; `end`, `pace`: how far it came.
     """
 
     record: Record
     places: Int[Any, " instants"]
     seen: dict[str, Array]
     fault: Fault
+    end: Vector
+    pace: Pace | None
 
 
 class _Looked(NamedTuple):
@@ -92,40 +96,51 @@ class _Looked(NamedTuple):
 
 
 class _Functions(NamedTuple):
-    """What is said at a share of a step of the grid, and a vector there: the rates by this share, the functions of the
-    events, and the vectors after each of these; what is noted of an event.
+    """What is said at a share of a step of the grid, and a vector there: the rates, the functions of the events, and
+    the vector after one of these; what is noted of an event.
     """
 
-    rates: Callable[[Any, Vector], Vector]
+    rates: Rates
     levels: Callable[[Any, Vector], Float[Array, " events"]]
-    after: Callable[[Any, Vector], Float[Array, "events n"]]
+    after: Callable[[Any, Vector, Bool[Array, " events"]], Vector]
     noted: Callable[[Any, Vector], Seen]
 
 
-class _State(NamedTuple):
-    """How far the integration of one step of the grid is.
+class _Search(NamedTuple):
+    """The search for events in a step of the grid.
 
-    - `vector`: all that is integrated, at the share `begin` of the step; `target`: the share to integrate to;
-    - `low`, `high`: the shares between which the first event is;
-    - `phase`: 0 on the way to the end of the step, then the number of the step of the search for `event`, negative
-      where it is finished;
-    - `speed`: the magnitude of the rate of the last event in this step; `left`: how many more there may be.
+    - `target`: the share to integrate to; `low`, `high`: the shares between which the first event is; `event`: which;
+    - `speed`: the magnitude of the rate of the event at which this begins, 0 without one; `left`: how many more there
+      may be.
     """
 
-    vector: Vector
-    begin: Float[Array, ""]
     target: Float[Array, ""]
     low: Float[Array, ""]
     high: Float[Array, ""]
-    phase: Int[Array, ""]
     event: Bool[Array, " events"]
     speed: Float[Array, ""]
     left: Int[Array, ""]
     seen: Seen
 
 
+class _State(NamedTuple):
+    """How far the integration of one step of the grid is.
+
+    - `vector`: all that is integrated, at the share `begin` of the step;
+    - `phase`: 0 on the way to the end of the step, then the number of the step of the search for an event, negative
+      where it is finished;
+    - `search`: None without events; `pace`: of an adaptive method.
+    """
+
+    vector: Vector
+    begin: Float[Array, ""]
+    phase: Int[Array, ""]
+    search: _Search | None
+    pace: Pace | None
+
+
 def course(
-    tableau: Tableau,
+    method: Method,
     system: System,
     grid: Grid,
     inputs: Inputs,
@@ -140,67 +155,96 @@ def course(
     """
     steps, places = steps_of(grid, inputs, [])
     t, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
-    start = initial_state(system, t, now)
-    vector, named = ravel_pytree(((*start,), zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))))
-    size = sum(map(jnp.size, start))
+    start, count = initial_state(system, t, now), len(system.states)
+    # Other methods find algebraic variables wherever they see states.
+    carries = bool(system.algebraic) and method.carries_algebraic
+    guess = guessed_algebraic(system, t, start, now) if carries else ()
+    integrands = zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))
+    vector, named = ravel_pytree(((*start, *guess), integrands))
+    size, algebraic = (sum(map(jnp.size, part)) for part in (start, guess))
+    sizes = Sizes(size, algebraic, vector.size - size - algebraic)
     every = list(system.declared_events)
     directions = np.array([system.declared_events[name].direction for name in names])
-    ends = np.array([name == grid.until for name in names])
+    ends = np.array([name == grid.until for name in names], dtype=bool)
 
     def states_of(vector: Vector) -> Any:
-        return state_type(system.states)(*named(vector)[0])
+        return state_type(system.states)(*named(vector)[0][:count])
 
     def looked_for(rows: Array) -> Array:
         return rows if names == tuple(every) else rows[np.array([every.index(name) for name in names])]
 
-    def advance(carried: tuple[Vector, Seen], step: Steps) -> tuple[Any, tuple[dict[str, Array], Fault]]:
-        vector, seen = carried
+    def solved(t: Any, states: Any, vector: Vector, u: dict[str, Array]) -> Any:
+        """States with algebraic variables that the method carries, near those of a vector."""
+        if not carries:
+            return states
+        return completed(system, t, states, u, state_type(system.algebraic)(*named(vector)[0][count:]))
+
+    def advance(carried: tuple[Vector, Seen, Any], step: Steps) -> tuple[Any, tuple[dict[str, Array], Fault]]:
+        vector, seen, pace = carried
         signals = signals_within(grid, inputs, step)
+        # Equations without rates are not multiplied by the length of the step, so that they hold over no time too.
+        lengths = step.h * sizes.has_rate + (1.0 - sizes.has_rate) if carries else step.h
 
         def rates(share: Any, vector: Vector) -> Vector:
-            """By the share of the step."""
             t, u = as_time(step.t + share * step.h), signals(share)
-            z = completed(system, t, states_of(vector), u)
-            return step.h * ravel_pytree(asked.slopes(system, t, z, u))[0]
+            z = completed(system, t, variables_of(system, named(vector)[0]), u)
+            slopes, growths = asked.slopes(system, t, z, u)
+            residuals = algebraic_residuals(system, t, z, u) if carries else ()
+            return lengths * ravel_pytree((slopes, residuals, growths))[0]
 
         def levels(share: Any, vector: Vector) -> Float[Array, " events"]:
             return looked_for(event_levels(system, step.t + share * step.h, states_of(vector), signals(share)))
 
-        def after(share: Any, vector: Vector) -> Float[Array, "events n"]:
-            states = looked_for(after_events(system, step.t + share * step.h, states_of(vector), signals(share)))
-            if size == vector.size:
-                return states
-            return jnp.concatenate([states, jnp.broadcast_to(vector[size:], (len(names), vector.size - size))], axis=1)
+        def after(share: Any, vector: Vector, event: Bool[Array, " events"]) -> Vector:
+            t, u = step.t + share * step.h, signals(share)
+            rows = looked_for(after_events(system, t, states_of(vector), u))
+            states = _where(jnp.broadcast_to(event[:, None], rows.shape), rows, 0.0).sum(axis=0)
+            if carries:
+                later = vector.at[:size].set(_where(event.any(), states, vector[:size]))
+                states = ravel_pytree(tuple(solved(t, states_of(later), vector, u)))[0]
+            return states if states.size == vector.size else jnp.concatenate([states, vector[states.size :]])
 
         def noted(share: Any, vector: Vector) -> Seen:
             return Seen(step.t + share * step.h, (vector[:size], signals(share)) if asked.at_events else ())
 
-        outputs = asked.at_instant(system, step.t, states_of(vector), step.first)
+        # Algebraic variables jump with the inputs: the step begins with those on its own side.
+        z = solved(step.t, states_of(vector), vector, step.first)
+        vector = ravel_pytree(((*z,), named(vector)[1]))[0] if carries else vector
+        outputs = asked.at_instant(system, step.t, z, step.first)
         ignored, forced, phase = np.zeros_like(ends), np.zeros_like(ends), none
+        if pace is not None:
+            latest = jnp.maximum(jnp.abs(step.t), jnp.abs(step.t + step.h))
+            pace = stop_gradient(pace._replace(length=step.h, shortest=_SHORTEST * latest))
+            phase = _where(pace.goes_on, phase, _FINISHED - GIVEN_UP)
         if is_final is not None:
             is_last = (step.begin < 1) & (step.begin + step.length >= 1)
             ignored, forced = is_final & ends, (is_final & is_last) & ends
-            phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, none)
+            phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, phase)
         looked = _Looked(directions, ends, step.begin, ignored, forced)
-        begin = _State(vector, zero, zero + 1, zero, zero + 1, phase, (zero > 0) & ends, zero, none + _MOST, seen)
-        end = loop_while_any(
+        search = _Search(zero + 1, zero, zero + 1, (zero > 0) & ends, zero, none + _MOST, seen) if names else None
+        # Without events JAX's own loop tells how the program has to be compiled (see `ends_by_condition`).
+        loop = loop_while_any if names else jax.lax.while_loop
+        end = loop(
             lambda state: state.phase >= 0,
-            lambda state: _moved(tableau, _Functions(rates, levels, after, noted), looked, state),
-            begin,
+            lambda state: _moved(method, _Functions(rates, levels, after, noted), looked, sizes, state),
+            _State(vector, zero, phase, search, pace),
         )
-        fault = Fault(_FINISHED - end.phase, jnp.argmax(end.event), step.t + end.begin * step.h)
-        return (end.vector, end.seen), (outputs, fault)
+        event, met = none, none
+        if end.search is not None:
+            event, met, seen = jnp.argmax(end.search.event), _MOST - end.search.left, end.search.seen
+        fault = Fault(_FINISHED - end.phase, event, step.t + end.begin * step.h, met)
+        return (end.vector, seen, end.pace), (outputs, fault)
 
     zero, none = nothing(vector)
     places_seen = jax.eval_shape(lambda: (vector[:size], now) if asked.at_events else ())
     place = jax.tree.map(lambda one: zero + np.full((len(names), *one.shape), np.nan), places_seen)
-    begin = vector, Seen(zero + np.full(len(names), np.nan), place)
-    (end, seen), (history, fault) = jax.lax.scan(advance, begin, steps)
+    begin = vector, Seen(zero + np.full(len(names), np.nan), place), method.begun(grid)
+    (end, seen, pace), (history, fault) = jax.lax.scan(advance, begin, steps)
 
     def outputs(t: Array, states: Vector, now: dict[str, Array]) -> dict[str, Array]:
-        return observation(system, t, variables_of(system, named(jnp.concatenate([states, end[size:]]))[0]), now)
+        return observation(system, t, states_of(jnp.concatenate([states, end[size:]])), now)
 
-    values = jax.vmap(outputs)(seen.t, *seen.place) if asked.at_events else {}
+    values = jax.vmap(outputs)(seen.t, *seen.place) if asked.at_events and names else {}
     times = {name: seen.t[i] for i, name in enumerate(names) if name in asked.events or name == grid.until}
     events = {
         name: Occurrence(t, {one: rows[names.index(name)] for one, rows in values.items()})
@@ -211,58 +255,111 @@ def course(
     if times:
         is_known = ~jnp.isnan(jnp.stack([*times.values()])).any()
         record = jax.tree.map(lambda one: _where(is_known, one, jnp.nan), record)
-    return Course(record._replace(grid=grid.ending(t_final)), places, times, fault)
+    if pace is not None:
+        is_complete = (fault.kind != GIVEN_UP).all()
+        record, t_final = jax.tree.map(lambda one: _where(is_complete, one, jnp.nan), (record, t_final))
+    return Course(record._replace(grid=grid.ending(t_final)), places, times, fault, end, pace)
 
 
-def _moved(tableau: Tableau, functions: _Functions, looked: _Looked, state: _State) -> _State:
-    """One step of the method further: to the end of the step of the grid, or to where an event should be."""
-    begin, target, directions = state.begin, state.target, looked.directions
-    end, (level, rate), (level_at, rate_at) = _run(tableau, functions, begin, target - begin, state.vector)
-    corrections = level_at / rate_at
+def _moved(method: Method, functions: _Functions, looked: _Looked, sizes: Sizes, state: _State) -> _State:
+    """One step of the method further: to the end of the step of the grid, or to where an event should be; an adaptive
+    method may try it again.
+    """
+    begin, search, pace, is_whole = state.begin, state.search, state.pace, state.phase == 0
+    target = jnp.ones(()) if search is None else search.target
+    if pace is not None:
+        rest = 1 - begin
+        parts = jnp.maximum(jnp.ceil(stop_gradient(rest) * pace.length / pace.h), 1.0)
+        target = _where(is_whole & (parts > 1), begin + rest / parts, target)
+    end, slopes, is_close, later = method.step(functions.rates, begin, target - begin, state.vector, sizes, pace)
+    if search is not None:
+        if slopes is None:
+            slopes = jax.vmap(functions.rates)(jnp.stack([begin, target]), jnp.stack([state.vector, end]))
+        moved = _met(functions, looked, state, search, target, end, slopes)
+    else:
+        moved = state._replace(vector=end, begin=target, phase=_where(target == 1, _FINISHED, state.phase))
+    if pace is None or later is None:
+        return moved
+    # No time, between two jumps at once or after the end, passes whatever the rates, and tells nothing.
+    stays = is_whole & ~(is_close | (pace.length == 0))
+    later = later._replace(h=_where(pace.length > 0, later.h, pace.h))
+    if search is not None:
+        stays |= state.phase < 0
+        later = jax.tree.map(lambda old, new: old if new is old else _where(is_whole, new, old), pace, later)
+    moved = jax.tree.map(lambda old, new: old if new is old else _where(stays, old, new), state, moved)
+    is_given_up = (moved.phase == 0) & ~later.goes_on
+    return moved._replace(pace=later, phase=_where(is_given_up, _FINISHED - GIVEN_UP, moved.phase))
+
+
+def _met(
+    functions: _Functions,
+    looked: _Looked,
+    state: _State,
+    search: _Search,
+    target: Array,
+    end: Vector,
+    slopes: Float[Array, "2 n"],
+) -> _State:
+    """What follows a step to some share, by the events on the way; `slopes`: the rates at both ends."""
+
+    def level_and_rate(at: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
+        return jax.jvp(functions.levels, (at, vector), (jnp.ones(()), slope))
+
+    both = jnp.stack([state.begin, target]), jnp.stack([state.vector, end]), slopes
+    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*both)
+    level, rate = stop_gradient((level, rate))
+    begin, directions, corrections = state.begin, looked.directions, level_at / rate_at
     is_whole, lands = state.phase == 0, state.phase == _SEARCHED + _CORRECTIONS
     seeks = (state.phase >= 0) & (state.phase <= _SEARCHED)
+    # A shorter step of an adaptive method is not the last one.
+    forced = looked.forced if state.pace is None else looked.forced & _where(is_whole, target == 1, search.event)
 
     # The first event, and where it should be.
     levels, rates, corrected, reached = stop_gradient((level_at, rate_at, target - corrections, target))
-    crosses = crosses_zero(level, rate, levels, rates, directions) & ~looked.ignored | looked.forced
+    crosses = crosses_zero(level, rate, levels, rates, directions) & ~looked.ignored | forced
     meets = crosses.any()
-    low, high = _where(meets, state.low, reached), _where(meets, reached, state.high)
-    middle, fits = (low + high) / 2, (corrected > low) & (corrected < high) | looked.forced
+    low, high = _where(meets, search.low, reached), _where(meets, reached, search.high)
+    middle, fits = (low + high) / 2, (corrected > low) & (corrected < high) | forced
     place = jnp.argmin(_where(crosses, _where(fits, corrected, middle), jnp.inf))
-    event = _where(meets & seeks, np.arange(directions.size) == place, state.event)
+    event = _where(meets & seeks, np.arange(directions.size) == place, search.event)
     correction = _where(event, corrections, 0.0).sum()
     is_close = jnp.abs(correction) <= CLOSE
     onward = _where(is_close | (fits & event).any(), target - correction, middle)
 
     # Before the step: at an event from the start, or still at the last one. After it: not at the event, or at another.
     stood = is_near(level, rate) & (directions * rate > 0)
-    stays = (jnp.abs(level) <= CLOSE * state.speed) & ~(jnp.abs(rate) > _LEAST * state.speed)
+    stays = (jnp.abs(level) <= CLOSE * search.speed) & ~(jnp.abs(rate) > _LEAST * search.speed)
     heads = is_near(levels, rates) & ((directions == 0) | (directions * rates > 0))
     faults = {
         TOGETHER: lands & (heads & ~event).any(),
         LOST: (state.phase >= _SEARCHED) & ~is_close,
-        MANY: is_whole & meets & (state.left == 0),
-        STAYS: is_whole & (begin < 1) & (state.speed > 0) & (stays & state.event).any(),
+        MANY: is_whole & meets & (search.left == 0),
+        STAYS: is_whole & (begin < 1) & (search.speed > 0) & (stays & search.event).any(),
         AT_START: is_whole & (looked.at + begin == 0) & stood.any(),
     }
     fault = jnp.zeros_like(state.phase)
     for number, is_so in faults.items():
         fault = _where(is_so, number, fault)
     is_wrong, stops = fault > 0, lands & (event & looked.ends).any()
-    arrives = (is_whole & ~meets) | stops
-    phase = _where(lands, 0, _where(is_close & seeks, _SEARCHED, state.phase) + 1)
-    after = _where(jnp.broadcast_to(event[:, None], (event.size, end.size)), functions.after(target, end), 0.0)
-    return _State(
-        vector=_where(is_wrong, jnp.nan, _where(arrives, end, _where(lands, after.sum(axis=0), state.vector))),
-        begin=_where(lands, target, begin),
-        target=_where(lands, 1.0, onward),
-        low=_where(lands, reached, low),
-        high=_where(lands, 1.0, high),
+    passes = is_whole & ~meets & ~is_wrong
+    arrives = passes & (target == 1) | stops
+    goes = lands | passes
+    after = _where(lands, functions.after(target, end, event), _where(passes, end, state.vector))
+    phase = _where(goes, 0, _where(is_close & seeks, _SEARCHED, state.phase) + 1)
+    later = _Search(
+        target=_where(goes, 1.0, onward),
+        low=_where(goes, reached, low),
+        high=_where(goes, 1.0, high),
+        event=_where(fault >= STAYS, _where(fault == STAYS, search.event, stood), event),
+        speed=_where(lands, jnp.abs(_where(event, rates, 0.0).sum()), _where(passes, 0.0, search.speed)),
+        left=search.left - lands,
+        seen=_noted(search.seen, lands & event & jnp.isnan(search.seen.t), functions.noted(target, end)),
+    )
+    return state._replace(
+        vector=_where(is_wrong, jnp.nan, _where(stops, end, after)),
+        begin=_where(goes, target, begin),
         phase=_where(state.phase < 0, state.phase, _where(arrives | is_wrong, _FINISHED - fault, phase)),
-        event=_where(fault >= STAYS, _where(fault == STAYS, state.event, stood), event),
-        speed=_where(lands, jnp.abs(_where(event, rates, 0.0).sum()), state.speed),
-        left=state.left - lands,
-        seen=_noted(state.seen, lands & event & jnp.isnan(state.seen.t), functions.noted(target, end)),
+        search=later,
     )
 
 
@@ -297,62 +394,7 @@ def is_near(level: Array, rate: Array) -> Array:
     return jnp.abs(level) <= CLOSE * jnp.abs(rate)
 
 
-def crossing_of(level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
-    """Where levels that end on the other side of zero in an interval cross it, as a part of it: without derivatives.
-
-    By cubic Hermite interpolation, which is as accurate as a step of fourth order. `rise`: the rates by this part.
-    """
-    level, rise, level_at, rise_at = stop_gradient((level, rise, level_at, rise_at))
-
-    def halved(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        c = (low + high) / 2
-        d = 1 - c
-        middle = d * d * ((1 + 2 * c) * level + c * rise) + c * c * ((1 + 2 * d) * level_at - d * rise_at)
-        is_before = (middle >= 0) == (level + CLOSE * rise >= 0)
-        return jnp.where(is_before, c, low), jnp.where(is_before, high, c)
-
-    return jax.lax.fori_loop(0, _HALVED, halved, (jnp.zeros_like(level), jnp.ones_like(level)))[1]
-
-
-def _run(
-    tableau: Tableau, functions: _Functions, begin: Any, share: Any, vector: Vector
-) -> tuple[Vector, tuple[Array, Array], tuple[Array, Array]]:
-    """The end of one step of the method, and the functions of the events with their rates at its beginning and end."""
-    # The last stage is at the end, so that rates are compiled once.
-    couplings = jnp.asarray(square((*tableau.couplings, tableau.weights)))
-    rows = jnp.asarray([*tableau.nodes, 1.0]), couplings, jnp.eye(len(couplings))
-
-    def stage(stages: Array, row: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        node, coupling, unit = row
-        slope = functions.rates(begin + node * share, vector + share * (coupling @ stages))
-        return stages + jnp.outer(unit, slope), None
-
-    def level_and_rate(at: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
-        return jax.jvp(functions.levels, (at, vector), (jnp.ones(()), slope))
-
-    stages, _ = jax.lax.scan(stage, jnp.zeros((len(couplings), vector.size)), rows)
-    end = vector + share * (couplings[-1] @ stages)
-    both = jnp.stack([begin, begin + share]), jnp.stack([vector, end]), stages[:: len(stages) - 1]
-    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*both)
-    return end, stop_gradient((level, rate)), (level_at, rate_at)
-
-
 def nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:
     """Zeros that follow from a vector: JAX differentiates and vectorises a loop once more for each state that joins."""
     zero = jnp.where(False, vector[0], 0.0)
     return zero, (zero != 0).astype(int)
-
-
-def watched(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
-    """The events at which steps have to end: those with a jump, and those asked for; not the one that ends the grid."""
-    return tuple(
-        name
-        for name, event in system.declared_events.items()
-        if name != grid.until and (event.jump is not None or name in events)
-    )
-
-
-def needed(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
-    """The same with the event that ends the grid, last."""
-    return (*watched(system, grid, events), *([] if grid.until is None else [grid.until]))

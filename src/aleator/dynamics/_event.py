@@ -20,7 +20,7 @@ class Event:
     - `jump(self, t, z, ...)`: what some states are set to when it happens, by name, such as `{"v": -self.e * z.v}`; all
       others go on. None: nothing changes.
 
-    A step of a fixed-step integrator ends at each event that has a jump or is asked for (`al.at`), so that what follows
+    A step ends at each event that has a jump or is asked for (`al.at`), whatever the integrator, so that what follows
     has exact derivatives: in forward mode, `jax.jacfwd`. A function that crosses zero and back within one step is not
     seen, nor is one that a jump takes to the other side.
 

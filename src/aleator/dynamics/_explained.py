@@ -1,37 +1,54 @@
 """Why an event that is needed is not found in a realisation, or a cycle does not close."""
 
-import math
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Int
 
 from aleator._core.border import meant
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed, watched
+from aleator.dynamics._crossings import AT_START, GIVEN_UP, LOST, MANY, STAYS, TOGETHER, Course, course
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._newton import listed, numbers_in
 from aleator.dynamics._record import Asked
+from aleator.dynamics._steps import Method, needed, watched
 from aleator.dynamics._system import System
-from aleator.dynamics._tableaux import Tableau
 
 
-def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]) -> str:
-    """Why an event that is needed is not found in a realisation, with its numbers; empty if all are."""
+def explain_course(
+    method: Method,
+    system: System,
+    grid: Grid,
+    inputs: Inputs,
+    events: frozenset[str],
+    given_up: Callable[[Course, float], str],
+) -> str:
+    """Why an event that is needed is not found in a realisation, with its numbers, or a method gives up; empty if
+    neither is so.
+
+    - `given_up`: why a method came no further than some time.
+    """
     # The guess of a cycle stands on the event.
     names = watched(system, grid, events) if grid.periodic else needed(system, grid, events)
-    if not names:
+    if not (names or method.begun(grid)):
         return ""
     asked, is_final = Asked(frozenset(), events=events), jnp.asarray(False) if grid.until in names else None
-    one = evaluate(lambda: course(tableau, system, grid, inputs, asked, names, is_final), use=Use.ONCE)
+    one = evaluate(lambda: course(method, system, grid, inputs, asked, names, is_final), use=Use.ONCE)
     who = _named(system)
     times = {name: float(t) for name, t in one.seen.items()}
     end = times.get(grid.until or "", float(grid.t_final))
-    kind, event, t = (np.asarray(part)[int(np.argmax(np.asarray(one.fault.kind) > 0))] for part in one.fault)
+    kind, event, t, _ = (np.asarray(part)[int(np.argmax(np.asarray(one.fault.kind) > 0))] for part in one.fault)
+    if kind == GIVEN_UP:
+        return given_up(one, float(t))
     if kind > 0 and not t > end:
         return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t))}"
     if np.isnan(end):
-        return explain_end(system, grid)
+        return (
+            f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
+            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
+        )
     if missing := [name for name in names if name in events and not times[name] <= end]:
         return (
             f"{who} never meets '{missing[0]}', which is asked for by al.at, from {float(grid.t_start):.4g} to "
@@ -40,22 +57,18 @@ def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs,
     return ""
 
 
-def explain_end(system: System, grid: Grid, about: float = math.nan) -> str:
-    """That the event that ends a grid is not met, with the numbers of the realisation; empty if none ends it.
+def events_in_steps(
+    method: Method, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]
+) -> tuple[Int[Array, " steps"], Int[Array, " steps"], Bool[Array, ""]]:
+    """The last event in each step of a grid, how many there are in it, and whether they cannot be known; the one that
+    ends the grid comes after all others.
 
-    `about`: when it seems to happen between two instants; NaN if it does not.
+    - `events`: those that count besides events with a jump.
     """
-    if grid.until is None or grid.periodic:
-        return ""
-    if math.isfinite(about):
-        return (
-            f"{_named(system)} meets '{grid.until}', at which its grid ends, at about t = {about:.4g} s, but the "
-            "search for that time does not converge: take more steps of the grid, from whose instants it starts."
-        )
-    return (
-        f"{_named(system)} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
-        f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
-    )
+    names = needed(system, grid, events)
+    is_final = None if grid.until is None else jnp.asarray(False)
+    fault = course(method, system, grid, inputs, Asked(frozenset()), names, is_final).fault
+    return fault.event, fault.met, (fault.kind > 0).any()
 
 
 def refuse_unknown_event(system: System, name: str | None) -> None:
@@ -97,7 +110,8 @@ _FAULTS = {
     ),
     MANY: (
         "meets '{name}' again and again within one step, at about t = {t:.4g} s. Infinitely many events in a finite "
-        "time have no simulation: end the grid before, or let al.Grid(until=...) end it at another event."
+        "time have no simulation: end the grid before, or let al.Grid(until=...) end it at another event. If "
+        "there is an end to them, take more steps."
     ),
     AT_START: (
         "starts at '{name}', at t = {t:.4g} s, and moves on through it. Start on one side of it, or choose the other "

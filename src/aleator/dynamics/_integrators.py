@@ -6,6 +6,7 @@ evaluated at the same instants.
 
 import abc
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar, final
 
 import jax
@@ -17,16 +18,14 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.dynamics._closing import closed
-from aleator.dynamics._crossings import course, needed, watched
+from aleator.dynamics._crossings import Course, course
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
-from aleator.dynamics._explained import explain_events
+from aleator.dynamics._explained import explain_course
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
-from aleator.dynamics._steps import Steps, is_divided, steps_of
+from aleator.dynamics._steps import Pace, Rates, Sizes, Step, Steps, Vector, is_divided, needed, steps_of, watched
 from aleator.dynamics._system import System
 from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
 
@@ -38,11 +37,23 @@ _PASSES = (False, True, True)
 
 
 class AbstractIntegrator(Module):
-    """How a system's states are advanced from one instant of a grid to the next."""
+    """How a system's states are advanced from one instant of a grid to the next: a `Method`, whose steps end at
+    events.
+    """
 
     @abc.abstractmethod
-    def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        """Simulate a realised system and record what is asked for; `inputs` include the system's own signals."""
+    def step(self, rates: Rates, begin: Any, share: Any, vector: Vector, sizes: Sizes, pace: Pace | None) -> Step:
+        """See `Method`."""
+
+    @property
+    def carries_algebraic(self) -> bool:
+        """Whether algebraic variables are among its unknowns: others find them wherever they see states."""
+        return False
+
+    def begun(self, grid: Grid) -> Pace | None:
+        """The pace at first; None where steps are those of the grid."""
+        del grid
+        return None
 
     @abc.abstractmethod
     def reference(self) -> "AbstractIntegrator":
@@ -50,30 +61,44 @@ class AbstractIntegrator(Module):
         tolerances, if it has any.
         """
 
-    def check_events(self, system: System, grid: Grid, events: frozenset[str]) -> None:
-        """Raise `ProblemError` if steps have to end at events, those asked for among them, and it looks for none: any
-        integrator reaches the event that ends a grid.
-        """
-        if names := watched(system, grid, events):
-            raise ProblemError(
-                f"{system.title}: {type(self).__name__} does not look for its event '{names[0]}', which needs fixed "
-                "steps: use al.integrators.RungeKutta4(), the default."
-            )
+    def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        """Simulate a realised system and record what is asked for; `inputs` include the system's own signals."""
+        names = watched(system, grid, asked.events)
+        return on_grid(grid, asked, lambda grid, asked: course(self, system, grid, inputs, asked, names)[:2])
 
     def ending(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
         """The record of a grid that ends at an event in each realisation, with its grid."""
-        return closed(self.record, system, grid, inputs, asked)
+        names = needed(system, grid, asked.events)
+
+        def passed(t_final: Array, is_final: Array) -> tuple[Array, Record]:
+            """The record up to about this time, and the time of the event, which is sought along the way at first."""
+            record = on_grid(
+                grid.ending(t_final),
+                asked,
+                lambda grid, asked: course(self, system, grid, inputs, asked, names, is_final)[:2],
+            )
+            return record.grid.t_final, record._replace(grid=None)
+
+        t_final, records = jax.lax.scan(passed, jnp.asarray(grid.t_final), jnp.asarray(_PASSES))
+        last = jax.tree.map(lambda one: one[len(_PASSES) - 1], records)
+        return last._replace(grid=grid.ending(t_final))
 
     def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:
         """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell.
 
         - `events`: those without which nothing is known of the system.
         """
-        del events
-        if not system.algebraic:
-            return ""
+        given_up = partial(self.explain_given_up, system, grid, inputs)
+        why = explain_course(self, system, grid, inputs, events, given_up)
+        if why or not system.algebraic:
+            return why
         rows = evaluate(lambda: self.record(system, grid, inputs, ONLY_STATES).history[STATES], use=Use.ONCE)
         return explain_algebraic(system, grid, inputs, np.asarray(rows))
+
+    def explain_given_up(self, system: System, grid: Grid, inputs: Inputs, one: Course, t: float) -> str:
+        """Why it came no further than this time, s; empty where steps are those of the grid."""
+        del system, grid, inputs, one, t
+        return ""
 
     def refined(self) -> "AbstractIntegrator":
         """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""
@@ -89,41 +114,27 @@ class AbstractFixedStep(AbstractIntegrator):
     tableau: ClassVar[Tableau]
 
     @override
-    def check_events(self, system: System, grid: Grid, events: frozenset[str]) -> None:
-        """Its steps end at all events."""
+    def step(self, rates: Rates, begin: Any, share: Any, vector: Vector, sizes: Sizes, pace: Pace | None) -> Step:
+        # The last stage is at the end, so that rates are compiled once.
+        couplings = jnp.asarray(square((*self.tableau.couplings, self.tableau.weights)))
+        rows = jnp.asarray([*self.tableau.nodes, 1.0]), couplings, jnp.eye(len(couplings))
 
-    @override
-    def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:
-        why = explain_events(self.tableau, system, grid, inputs, events)
-        return why or super().explain(system, grid, inputs)
+        def stage(stages: Array, row: tuple[Array, Array, Array]) -> tuple[Array, None]:
+            node, coupling, unit = row
+            slope = rates(begin + node * share, vector + share * (coupling @ stages))
+            return stages + jnp.outer(unit, slope), None
+
+        stages, _ = jax.lax.scan(stage, jnp.zeros((len(couplings), vector.size)), rows)
+        return Step(vector + share * (couplings[-1] @ stages), stages[:: len(stages) - 1])
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        if names := watched(system, grid, asked.events):
-            return on_grid(
-                grid, asked, lambda grid, asked: course(self.tableau, system, grid, inputs, asked, names)[:2]
-            )
+        if watched(system, grid, asked.events):
+            return super().record(system, grid, inputs, asked)
         if not is_divided(grid, inputs):
             return self._taken(system, grid, inputs, asked)[0]
         # A step that a jump divides has its middle anywhere.
         return on_grid(grid, asked, lambda grid, asked: self._taken(system, grid, inputs, asked))
-
-    @override
-    def ending(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        names = needed(system, grid, asked.events)
-
-        def passed(t_final: Array, is_final: Array) -> tuple[Array, Record]:
-            """The record up to about this time, and the time of the event, which is sought along the way at first."""
-            record = on_grid(
-                grid.ending(t_final),
-                asked,
-                lambda grid, asked: course(self.tableau, system, grid, inputs, asked, names, is_final)[:2],
-            )
-            return record.grid.t_final, record._replace(grid=None)
-
-        t_final, records = jax.lax.scan(passed, jnp.asarray(grid.t_final), jnp.asarray(_PASSES))
-        last = jax.tree.map(lambda one: one[len(_PASSES) - 1], records)
-        return last._replace(grid=grid.ending(t_final))
 
     def _taken(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> tuple[Record, Any]:
         """The record of all steps, divided by jumps, and where the instants are among their beginnings."""

@@ -119,7 +119,6 @@ class Simulation(AbstractPlanned):
         if parts > 1:
             return self.on(grid.finer(parts)).record(asked).thinned(parts)
         inputs = self.signals(system)
-        self.integrator.check_events(system, grid, asked.events)
         if asked.outputs is not None:
             system = system.focused(asked.outputs)
         if asked.course is not None:

@@ -1,15 +1,84 @@
-"""The steps of a grid, each with the signals on its own side of every jump."""
+"""The steps of a grid, each with the signals on its own side of every jump; and what takes them."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator.dynamics._grid import Grid, Inputs, sampled
+from aleator.dynamics._system import System
 from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, on_pieces, piecewise_in
+
+Vector = Float[Array, " n"]
+Rates = Callable[[Any, Vector], Vector]
+"""The rates of a vector at a share of a step of the grid, by this share; zero at a solution for algebraic variables."""
+
+
+class Sizes(NamedTuple):
+    """How many of the numbers of a vector are states, algebraic variables and integrals, in this order."""
+
+    states: int
+    algebraic: int
+    integrals: int
+
+    @property
+    def unknowns(self) -> int:
+        """Those that rates depend on."""
+        return self.states + self.algebraic
+
+    @property
+    def has_rate(self) -> Float[np.ndarray, " n"]:
+        """1 for those with a rate, 0 for algebraic variables."""
+        return np.repeat([1.0, 0.0, 1.0], self)
+
+
+class Pace(NamedTuple):
+    """How an adaptive method goes on.
+
+    - `h`: the length to try next, s; `left`: how many more steps may be tried in all;
+    - `length`: of the step of the grid, s; `shortest`: the shortest step that is tried in it, s.
+    """
+
+    h: Float[Array, ""]
+    left: Int[Array, ""]
+    length: Float[Array, ""]
+    shortest: Float[Array, ""]
+
+    @property
+    def goes_on(self) -> Bool[Array, ""]:
+        """Whether there is another step."""
+        return (self.left > 0) & (self.h > self.shortest)
+
+
+class Step(NamedTuple):
+    """The end of a step of a method.
+
+    - `slopes`: the rates at its beginning and end, where they are known; `is_close`: whether its error is small enough;
+      `pace`: after it.
+    """
+
+    end: Vector
+    slopes: Float[Array, "2 n"] | None = None
+    is_close: Any = True
+    pace: Pace | None = None
+
+
+class Method(Protocol):
+    """What takes steps: an integrator. `carries_algebraic`: whether algebraic variables are among its unknowns."""
+
+    @property
+    def carries_algebraic(self) -> bool: ...
+
+    def begun(self, grid: Grid) -> Pace | None:
+        """The pace at first; None where steps are those of the grid."""
+        ...
+
+    def step(self, rates: Rates, begin: Any, share: Any, vector: Vector, sizes: Sizes, pace: Pace | None) -> Step:
+        """A step from one share of a step of the grid on, over another."""
+        ...
 
 
 class Steps(NamedTuple):
@@ -111,3 +180,17 @@ def signals_within(grid: Grid, inputs: Inputs, step: Steps) -> Callable[[Any], d
 
 def _at(signals: Inputs, grid: Grid, fraction: Any) -> dict[str, Array]:
     return {name: values[0] for name, values in sampled(signals, grid, fraction[None]).items()}
+
+
+def watched(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
+    """The events at which steps have to end: those with a jump, and those asked for; not the one that ends the grid."""
+    return tuple(
+        name
+        for name, event in system.declared_events.items()
+        if name != grid.until and (event.jump is not None or name in events)
+    )
+
+
+def needed(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
+    """The same with the event that ends the grid, last."""
+    return (*watched(system, grid, events), *([] if grid.until is None else [grid.until]))

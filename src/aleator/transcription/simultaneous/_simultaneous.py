@@ -19,6 +19,7 @@ from aleator.transcription._discretised import discretised
 from aleator.transcription._scenarios import first_scenarios
 from aleator.transcription.simultaneous._guesses import Guess
 from aleator.transcription.simultaneous._mesh import Mesh, first_nodes, joined
+from aleator.transcription.simultaneous._phases_of_events import phases_to_write
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._refinement import Goal
 from aleator.transcription.simultaneous._starts import Start
@@ -129,10 +130,10 @@ class Simultaneous(AbstractTranscription):
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
         functionals = functionals_of(problem.expressions)
         if names := _inside(problem):
+            points = np.asarray(discretised(problem).collocation.points)
             raise ProblemError(
                 f"al.Simultaneous ties states at fixed shares of the time: it has no place for the event '{names[0]}' "
-                "inside a grid. End a phase there, al.Grid(until=...) in al.Phases with the jump as a link, or use "
-                "al.Sequential(), the default."
+                f"inside a grid. {phases_to_write(problem, names, points)}"
             )
         if any(isinstance(one, FloquetMultiplier) for one in functionals):
             raise ProblemError(
