@@ -12,8 +12,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.border import content_of, json_of
+from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._folder import is_stale, stale, study_of
 from aleator.cli._terminal import Terminal
 from aleator.journalling import FILE, Recalled, recalling
