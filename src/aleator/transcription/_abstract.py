@@ -59,8 +59,8 @@ class Meaning(NamedTuple):
     - `decisions`: in the order of the problem's placements, shape (n,);
     - `objective`: its value; `constraints`: the rows of each, in order;
     - `samples`: each functional at the collocation points, in the order of `functionals_of`;
-    - `tangents`: the derivatives of the samples (of a path at a few instants, see `seen`) by the decisions that are
-      parameters of distributions; None if they are not computed;
+    - `tangents`: the derivatives of the samples (of a path at a few instants, see `seen`) by the decisions, along a
+      first axis; None if they are not computed, as where no decision is a parameter of a distribution;
     - `statistics`: all statistics in the expressions, in the order of `statistics_in`.
     """
 
@@ -68,7 +68,7 @@ class Meaning(NamedTuple):
     objective: float
     constraints: list[Float[np.ndarray, " rows"]]
     samples: tuple[Float[np.ndarray, "points ..."], ...]
-    tangents: tuple[Float[np.ndarray, "points ... parameters"] | None, ...]
+    tangents: tuple[Float[np.ndarray, "n points ..."] | None, ...]
     statistics: tuple[Float[np.ndarray, "..."], ...]
 
 
@@ -228,11 +228,12 @@ class AbstractTranscribed(abc.ABC):
 
     @cached_property
     def _resolved(self) -> Remembered[dict[str, Resolved]]:
-        functionals = functionals_of(self.problem.expressions)
+        functionals, parameters = functionals_of(self.problem.expressions), [*self.places.of_distributions.values()]
 
         def at(point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
-            parts = zip(functionals, self.at(point).samples, self.at(point).tangents, strict=True)
-            return {one.text(): resolved(one, self.collocation, own, tangents) for one, own, tangents in parts}
+            tangents = (None if one is None else one[parameters] for one in self.at(point).tangents)
+            parts = zip(functionals, self.at(point).samples, tangents, strict=True)
+            return {one.text(): resolved(one, self.collocation, own, moved) for one, own, moved in parts}
 
         return Remembered(at)
 

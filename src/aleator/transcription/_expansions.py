@@ -247,7 +247,7 @@ def resolved(
     functional: AbstractFunctional,
     collocation: Collocation,
     samples: Float[np.ndarray, "points ..."],
-    tangents: Float[np.ndarray, "points ... parameters"] | None,
+    tangents: Float[np.ndarray, "parameters points ..."] | None,
 ) -> Resolved:
     """The moments and the quality of a functional's expansion from its samples, by NumPy."""
     known = jax_array(samples)
@@ -258,9 +258,7 @@ def resolved(
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
-        tangents=None
-        if tangents is None
-        else np.array([_error_of(collocation, jax_array(one)) for one in np.moveaxis(tangents, -1, 0)]),
+        tangents=None if tangents is None else np.array([_error_of(collocation, jax_array(one)) for one in tangents]),
     )
 
 

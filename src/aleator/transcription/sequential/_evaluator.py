@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
@@ -47,16 +47,14 @@ class Share(NamedTuple):
     """The contribution of some points.
 
     - `samples`: each functional at the points;
-    - `tangents`: the derivatives of samples (of a path at a few instants) by the decisions that are parameters of
-      distributions; None if there are no such decisions;
-    - `finite`: whether all samples are;
+    - `tangents`: the derivatives of samples (of a path at a few instants) by the decisions, along a first axis; None
+      if no decision is a parameter of a distribution;
     - `terms`: the points' share of the terms of expressions; `slopes`: its derivatives by the decisions, along a first
       axis of each array.
     """
 
     samples: tuple[Float[Array, "points ..."], ...]
-    tangents: tuple[Float[Array, "points ... parameters"] | None, ...]
-    finite: Bool[Array, ""]
+    tangents: tuple[Float[Array, "n points ..."] | None, ...]
     terms: Terms
     slopes: Terms
 
@@ -73,20 +71,19 @@ def share_of(
 
     Derivatives are computed in forward mode: few decisions, thousands of rows.
     """
-    parameters = tuple(problem.placements.of_distributions.values())
+    has_parameters = bool(problem.placements.of_distributions)
 
     def contributed(x: Array) -> tuple[tuple[Terms, tuple], tuple]:
         samples, terms = simulated(problem, functionals, points, fit, scenarios, x)
         looked_at = [seen(values, one.is_path) for one, values in zip(functionals, samples, strict=True)]
-        return (terms, tuple(looked_at) if parameters else ()), samples
+        return (terms, tuple(looked_at) if has_parameters else ()), samples
 
     def along(direction: Array) -> tuple[Any, Any, Any]:
         return jax.jvp(contributed, (decisions,), (direction,), has_aux=True)
 
     # Tangents along the first axis: along the last one, inner loops would run over the shortest of all axes.
-    (terms, _), (slopes, looked_at), samples = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(decisions.size))
-    of_distributions = tuple(jnp.moveaxis(one, 0, -1)[..., jnp.array(parameters)] for one in looked_at)
-    return Share(samples, of_distributions or (None,) * len(functionals), _are_finite(samples), terms, slopes)
+    (terms, _), (slopes, tangents), samples = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(decisions.size))
+    return Share(samples, tangents or (None,) * len(functionals), terms, slopes)
 
 
 def combined(
@@ -160,8 +157,7 @@ def _evaluate(
     anchors: Anchors | None,
     decisions: Float[Array, " n"],
 ) -> tuple[tuple[list[Block], Array], tuple[Any, ...]]:
-    """The blocks of a problem and the instants, then samples, their derivatives, and whether they are finite, see
-    `Share`.
+    """The blocks of a problem and the instants, then samples and their derivatives, see `Share`.
 
     Expressions with rows of one instant each are differentiated instant by instant.
     """
@@ -180,16 +176,8 @@ def _evaluate(
         blocks |= zip(which, rows, strict=True)
         samples |= own
     every, times = functionals_of(problem.expressions), grid_at(problem, decisions).times
-    ordered = tuple(samples[one] for one in every)
-    return ([blocks[i] for i in sorted(blocks)], times), (
-        ordered,
-        tuple(map(tangents.get, every)),
-        _are_finite(ordered),
-    )
-
-
-def _are_finite(samples: tuple[Array, ...]) -> Bool[Array, ""]:
-    return jnp.array([jnp.isfinite(one).all() for one in samples]).all()
+    parts = tuple(samples[one] for one in every), tuple(map(tangents.get, every))
+    return ([blocks[i] for i in sorted(blocks)], times), parts
 
 
 def _contribute(
@@ -267,22 +255,22 @@ class Evaluator:
 
     def _evaluate(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         if self._combine is None:
-            (blocks, times), (samples, tangents, is_finite) = self._programs[0](decisions)
+            (blocks, times), (samples, tangents) = self._programs[0](decisions)
         else:
             # The calling thread traces a user's code before other threads start.
             for program in self._programs:
                 program.prepare(decisions)
             shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
-            *parts, finite, terms, slopes = zip(*shares, strict=True)
+            samples, tangents, terms, slopes = zip(*shares, strict=True)
             blocks, times = self._combine((terms, slopes, jax_array(decisions)))
-            samples, tangents = (tuple(map(self._whole, zip(*some, strict=True))) for some in parts)
-            is_finite = all(finite)
+            samples = tuple(np.concatenate(parts)[: self._points] for parts in zip(*samples, strict=True))
+            tangents = tuple(
+                None if parts[0] is None else np.concatenate(parts, axis=1)[:, : self._points]
+                for parts in zip(*tangents, strict=True)
+            )
         # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
+        is_finite = all(np.isfinite(one).all() for one in samples)
         values = [one.values if is_finite else np.full_like(one.values, np.nan) for one in blocks]
         taken = tuple(statistic for one in blocks for statistic in one.statistics)
         meaning = Meaning(decisions, float(values[0][0]), values[1:], samples, tangents, taken)
         return Evaluated(meaning, [one.derivatives for one in blocks], times)
-
-    def _whole(self, parts: tuple[Any, ...]) -> Any:
-        """An array of all points, or None, from those of the parts in which they were simulated."""
-        return None if parts[0] is None else np.concatenate(parts)[: self._points]
