@@ -32,7 +32,7 @@ from aleator.design import (
 )
 from aleator.dynamics import AbstractIntegrator, Grid, Rodas5P
 from aleator.expansion import Collocation
-from aleator.statistics import Constants, Mean, Std
+from aleator.statistics import AbstractTail, Constants, Mean, Std
 from aleator.transcription import AbstractTranscribed, Discretised, Meaning, scope_from, simulated
 
 # Most steps of all systems together in a check that takes longer to compile well than to run.
@@ -186,7 +186,8 @@ def _check(
 
 
 def _use(problem: Problem, collocation: Collocation, *others: Any) -> Use:
-    if divides_steps(problem):
+    # Tails by lines have more equations than the steps, and few runs.
+    if divides_steps(problem) or any(isinstance(one.kind, AbstractTail) for one in statistics_in(problem.expressions)):
         return Use.ONCE
     systems, _ = others[-1]
     steps = problem.grid.steps * (len(collocation.points) + len(systems))
