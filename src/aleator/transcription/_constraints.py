@@ -340,4 +340,4 @@ def blind_decisions(outcome: Outcome, transcribed: AbstractTranscribed) -> str:
 def excess_of(constraint: Constraint, values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """The excess of values over the nearer bound of a constraint, negative inside."""
     with np.errstate(invalid="ignore"):  # Infinite values of an infinite bound exceed nothing.
-        return np.maximum(values - float(constraint.upper), float(constraint.lower) - values)
+        return np.asarray(np.maximum(values - float(constraint.upper), float(constraint.lower) - values))
