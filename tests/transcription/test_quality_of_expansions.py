@@ -168,3 +168,16 @@ def test_a_derivative_that_does_not_vary_is_resolved_whatever_an_integrator_make
     solution = al.solve(problem)
     assert solution.objective == pytest.approx(0.5 / (1 - np.exp(-1.0)), rel=1e-6)
     assert solution.certificate.expansion.worst_tangent.error == 0.0
+
+
+def test_the_rounding_of_a_derivative_that_vanishes_says_nothing_of_the_expansion():
+    inert = algebraic(lambda h, e: {"w": h * jnp.exp(e) / jnp.exp(e), "e": e})
+    problem = al.Problem(
+        inert(al.Uniform(2.0, half_width=0.2), al.Uniform(al.Decision(0.6, 0.3, 0.9), half_width=0.05)),
+        minimize=-1 * al.value("e.mean"),
+        subject_to=[al.output("w").at_most(2.3, sigmas=2), al.output("e").at_most(0.8, sigmas=2)],
+    )
+    solution = al.solve(problem)
+    assert solution.ok
+    assert solution.certificate.expansion.tangents["w"]["e.mean"] == 0.0
+    assert solution.decisions["e.mean"] == pytest.approx(0.8 - 2 * 0.05 / np.sqrt(3), rel=1e-6)

@@ -229,9 +229,10 @@ class AbstractTranscribed(abc.ABC):
     @cached_property
     def _resolved(self) -> Remembered[dict[str, Resolved]]:
         functionals, parameters = functionals_of(self.problem.expressions), [*self.places.of_distributions.values()]
+        scales = self.program.variable_scale[self.decided][parameters]
 
         def at(point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
-            tangents = (None if one is None else one[parameters] for one in self.at(point).tangents)
+            tangents = (None if one is None else (one[parameters].T * scales).T for one in self.at(point).tangents)
             parts = zip(functionals, self.at(point).samples, tangents, strict=True)
             return {one.text(): resolved(one, self.collocation, own, moved) for one, own, moved in parts}
 

@@ -25,6 +25,7 @@ from aleator.design import (
 )
 from aleator.dynamics import Grid
 from aleator.expansion import (
+    ROUNDING,
     Collocation,
     error_history,
     mean_squares,
@@ -33,7 +34,7 @@ from aleator.expansion import (
 from aleator.statistics import AbstractStatistic, Constants, Mean, Std, together
 from aleator.uncertainty import named_numbers
 
-# A derivative that varies by less than this part of itself does not vary.
+# A derivative that varies by less than this part of itself, or of how its output does, does not vary.
 _INTEGRATED = 1e-6
 # So many outputs have each statistic by themselves.
 _FEW = 4
@@ -238,7 +239,7 @@ class Resolved(NamedTuple):
 _SEEN = 50
 
 
-def seen(samples: Float[Array, "points *shape"], is_path: bool) -> Float[Array, "points *few"]:
+def seen(samples: Any, is_path: bool) -> Any:
     """The samples of a functional whose derivatives are checked: of a path at some instants, including the last."""
     return samples[:, :: -max(1, samples.shape[1] // _SEEN)] if is_path else samples
 
@@ -249,7 +250,10 @@ def resolved(
     samples: Float[np.ndarray, "points ..."],
     tangents: Float[np.ndarray, "parameters points ..."] | None,
 ) -> Resolved:
-    """The moments and the quality of a functional's expansion from its samples, by NumPy."""
+    """The moments and the quality of a functional's expansion from its samples, by NumPy.
+
+    `tangents`: derivatives (see `seen`) times the magnitudes of the decisions, in the functional's unit.
+    """
     known = jax_array(samples)
     terms = collocation.coefficients(known)
     squares = mean_squares(collocation, known, terms)
@@ -258,14 +262,30 @@ def resolved(
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
-        tangents=None if tangents is None else np.array([_error_of(collocation, jax_array(one)) for one in tangents]),
+        tangents=None if tangents is None else _errors_of(collocation, tangents, seen(samples, functional.is_path)),
     )
 
 
-def _error_of(collocation: Collocation, tangents: Float[Array, "points ..."]) -> float:
-    """The leave-one-out error of a derivative; zero where it varies by no more than the error of an integrator.
+def _errors_of(
+    collocation: Collocation,
+    tangents: Float[np.ndarray, "parameters points ..."],
+    output: Float[np.ndarray, "points ..."],
+) -> Float[np.ndarray, " parameters"]:
+    """The leave-one-out error of each derivative of an output; zero where it varies by no more than the error of an
+    integrator, as a part of itself or of how the output varies, or than the output's rounding.
 
     A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
     """
-    squares = mean_squares(collocation, tangents, collocation.coefficients(tangents))
-    return float(relative_error(*(part.sum() for part in squares), rounding=_INTEGRATED))
+
+    def totals(samples: np.ndarray) -> list[Any]:
+        known = jax_array(samples)
+        return [part.sum() for part in mean_squares(collocation, known, collocation.coefficients(known))]
+
+    _, spread, size = totals(output)
+    least, each = np.maximum(spread, (ROUNDING / _INTEGRATED) ** 2 * size), map(totals, tangents)
+    return np.array(
+        [
+            float(relative_error(error, variance, np.maximum(square, least), rounding=_INTEGRATED))
+            for error, variance, square in each
+        ]
+    )
