@@ -1,5 +1,7 @@
 """Tolerance analysis: stacks of plates with closed forms, the published clutch, and mistakes refused."""
 
+import warnings
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from scipy import stats
 
 import aleator as al
 from aleator.studies.clutch import DEVIATION, LIMITS, MEANS, TOLERANCES, clutch
+from zoo import algebraic
 
 
 def stack(**distributions):
@@ -44,6 +47,25 @@ def test_zones_add_up_and_contributions_are_all_of_the_variance(normal_stack):
     assert sum(shares.values()) == pytest.approx(100, rel=1e-12)
     assert totals == pytest.approx(shares, rel=1e-8)
     assert normal_stack.contributions["plate"].sensitivity == pytest.approx(-2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("output", "first", "second", "ends"),
+    [
+        # At corners, far from what a polynomial says there; at the nominal; inside of one zone, with four extremes.
+        (lambda a, b: b * jnp.exp(3 * a), (0.0, 0.6), (1.0, 0.1), (0.9 * np.exp(-1.8), 1.1 * np.exp(1.8))),
+        (lambda a, b: b * (1 - jnp.cos(a)), (0.0, 0.3), (10.0, 0.1), (0.0, 10.1 * (1 - np.cos(0.3)))),
+        (lambda a, b: b + 0.4 * jnp.sin(8 * a), (0.1, 0.2), (1.0, 0.02), (0.98 + 0.4 * np.sin(-0.8), 1.42)),
+    ],
+)
+def test_the_worst_case_is_the_range_of_the_assembly_itself(output, first, second, ends):
+    model = algebraic(lambda a, b: {"y": output(a, b)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", al.ExpansionWarning)
+        analysis = al.tolerance_analysis(
+            model(*(al.Toleranced(one[0], tolerance=one[1]) for one in (first, second))), "y", lower=-1.0
+        )
+    assert analysis.worst_case == pytest.approx(ends, rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.slow

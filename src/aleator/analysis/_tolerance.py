@@ -20,7 +20,7 @@ from aleator.analysis._expanded import Expanded
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
-from aleator.statistics import Probability, Supremum, lines_through, points_in_tail, tail_proposal
+from aleator.statistics import Probability, lines_through, points_in_tail, tail_proposal
 from aleator.uncertainty import (
     AbstractDistribution,
     Placements,
@@ -39,6 +39,8 @@ PARTS_PER_MILLION = 1e6
 
 # Up to this many dimensions all corners of the zones are evaluated: 4096.
 _MOST_CORNERS = 12
+# Other assemblies that a search for the worst case tries at once, and how often.
+_SPREAD, _ROUNDS = 256, 50
 
 # Assemblies that are drawn in each tail, and the least probability of the expansion there that leads to a tail.
 _IN_TAIL, _LEAST_CHANCE = 4096, 1e-12
@@ -133,8 +135,7 @@ class ToleranceAnalysis(Drawn):
     - `lower`, `upper`: its limits;
     - `rejects_low`, `rejects_high`: assemblies beyond them in parts per million, by the distribution of the expansion,
       corrected by assemblies that are drawn in either tail; `rejects_error`: the 95 % half-width of both together;
-    - `worst_case`: the range of the output over all dimensions within their zones: that of the expansion over these,
-      as far as this follows the output, widened to the assembly's own values at the corners;
+    - `worst_case`: the range of the output itself over all dimensions within their zones, as far as a search finds it;
     - `rss`: half-width by root sum square; `linear_std`: standard deviation by direct linearisation;
     - `contributions`: by dimension.
     """
@@ -241,7 +242,7 @@ def tolerance_analysis(
         rejects_low=PARTS_PER_MILLION * low[0],
         rejects_high=PARTS_PER_MILLION * high[0],
         rejects_error=PARTS_PER_MILLION * float(np.hypot(low[1], high[1])),
-        worst_case=_worst_case(function, in_zones, expansion),
+        worst_case=_worst_case(function, in_zones, float(linear.mean)),
         rss=float(linear.rss({name: zone.half_width for name, zone in zones.items()})),
         linear_std=float(linear.std),
         contributions=_contributions(expanded, linear, zones),
@@ -286,25 +287,32 @@ def _expanded(function: Callable[[Any], Any], model: Pytree, expansion: Expansio
         raise SimulationError(f"{error} {explain_failure(nominal)}".strip()) from error
 
 
-def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> tuple[float, float]:
-    """The range over the zones: that of the expansion, widened to the assembly's own values at the corners.
+def _worst_case(function: Callable[[Any], Any], model: Pytree, nominal: float) -> tuple[float, float]:
+    """The range of the assembly itself over the zones by a search from the best of corners and random points.
 
-    Most outputs have their extremes at corners, where an expansion is least accurate.
+    An expansion would be least accurate at the corners, where most outputs have their extremes.
     """
-    over_zones = expand(function, model, expansion)
-    low, high = _range(over_zones)
-    if over_zones.basis.variables > _MOST_CORNERS:
-        return low, high
-    corners = jax_array(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
-    values = np.asarray(Sampler(function, model, traced=True).samples(corners))
-    return min(low, float(values.min())), max(high, float(values.max()))
+    sampler, generator = Sampler(function, model, traced=True), np.random.default_rng(0)
+    count = len(sampler.places.germs)
+    corners = np.array(list(product((-1.0, 1.0), repeat=count))) if count <= _MOST_CORNERS else np.zeros((0, count))
+    points = np.concatenate([corners, np.zeros((1, count)), generator.uniform(-1.0, 1.0, (_SPREAD, count))])
 
+    def furthest(sign: float) -> float:
+        """One end: each dimension is moved to its ends, and all within smaller and smaller boxes about the best."""
+        tried, best, height, reach = points, np.zeros(count), sign * nominal, 1.0
+        for _ in range(_ROUNDS):
+            heights = sign * np.asarray(sampler.samples(jax_array(tried)))
+            if not heights.max() > height:
+                reach /= 2
+            else:
+                best, height = tried[np.argmax(heights)], float(heights.max())
+            ends = np.repeat(best[None], 2 * count, axis=0)
+            ends[np.arange(2 * count), np.arange(2 * count) // 2] = np.tile([-1.0, 1.0], count)
+            tried = np.clip(best + reach * generator.uniform(-1.0, 1.0, (_SPREAD, count)), -1.0, 1.0)
+            tried = np.concatenate([tried, ends])
+        return sign * height
 
-def _range(expanded: Expanded) -> tuple[float, float]:
-    """Infimum and supremum, by one search: of the output and of its negative."""
-    both = jax_array(np.stack([-np.asarray(expanded.coefficients), expanded.coefficients], axis=-1))
-    low, high = np.asarray(Expanded(expanded.distributions, expanded.basis, both, None, None).statistic(Supremum()))
-    return -float(low), float(high)
+    return furthest(-1.0), furthest(1.0)
 
 
 def _beyond(
