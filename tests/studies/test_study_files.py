@@ -242,7 +242,7 @@ def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_
     head = 'problem = "bar:problem"\n[model]\nload = { start = 1.0 }\nwidth = '
     with pytest.raises(al.ProblemError, match="'width' must stay positive") as refused:
         loaded(f'{head}"27.645 +0.05/-0.02 mm"\n')
-    advised = re.search(r"write (TruncatedNormal)\((.*?)\)", str(refused.value))
+    advised = re.search(r"[Ww]rite (TruncatedNormal)\((.*?)\)", str(refused.value))
     assert advised is not None
     (problem,) = loaded(f'{head}{{ distribution = "{advised[1]}", {advised[2]} }}\n').problems.values()
     found = problem.system.width
