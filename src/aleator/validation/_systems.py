@@ -165,7 +165,8 @@ def _not_finite(
         values = zip(functionals, responses(problem, functionals, point[None], decisions), strict=True)
         # Alone, a system may be finite that is not in a batch.
         what = next((f": {one.text()}" for one, value in values if not np.isfinite(value).all()), "")
-    remedy = "Shorten the time step, use an implicit integrator (al.integrators.Rodas5P), or bound the distributions."
+    steps = "Shorten the time step, use an implicit integrator (al.integrators.Rodas5P), or bound the distributions."
+    remedy = steps if problem.system.has_time else "Bound the distributions."
     return SimulationError(
         f"Monte Carlo: the simulation of the system{numbers and ' with '}{numbers} is not finite{what}; {failed}. "
         f"{unsolved(problem, point, decisions) or remedy}"
