@@ -57,7 +57,7 @@ _POINTS, _WIDEST, _WIDTH = 512, 0.85, 1.6
 _LAST, _TABLED = 8.2, 1024
 
 # So many points are evaluated at once, for the cache.
-_TOGETHER = 2**9
+_TOGETHER = 2**11
 
 
 @final
