@@ -257,35 +257,27 @@ def resolved(
     known = jax_array(samples)
     terms = collocation.coefficients(known)
     squares = mean_squares(collocation, known, terms)
+    _, *at_seen = (seen(part.reshape(1, *samples.shape[1:]), functional.is_path).sum() for part in squares)
     return Resolved(
         mean=np.asarray(Mean().of(terms, ())),
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
-        tangents=None if tangents is None else _errors_of(collocation, tangents, seen(samples, functional.is_path)),
+        tangents=None if tangents is None else _errors_of(collocation, tangents, *at_seen),
     )
 
 
 def _errors_of(
-    collocation: Collocation,
-    tangents: Float[np.ndarray, "parameters points ..."],
-    output: Float[np.ndarray, "points ..."],
+    collocation: Collocation, tangents: Float[np.ndarray, "parameters points ..."], spread: Any, size: Any
 ) -> Float[np.ndarray, " parameters"]:
     """The leave-one-out error of each derivative of an output; zero where it varies by no more than the error of an
     integrator, as a part of itself or of how the output varies, or than the output's rounding.
 
     A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
+
+    - `spread`, `size`: the variance and the mean square of the output at the same instants, in all.
     """
-
-    def totals(samples: np.ndarray) -> list[Any]:
-        known = jax_array(samples)
-        return [part.sum() for part in mean_squares(collocation, known, collocation.coefficients(known))]
-
-    _, spread, size = totals(output)
-    least, each = np.maximum(spread, (ROUNDING / _INTEGRATED) ** 2 * size), map(totals, tangents)
-    return np.array(
-        [
-            float(relative_error(error, variance, np.maximum(square, least), rounding=_INTEGRATED))
-            for error, variance, square in each
-        ]
-    )
+    each = (mean_squares(collocation, one, collocation.coefficients(one)) for one in map(jax_array, tangents))
+    error, variance, square = np.array([[part.sum() for part in squares] for squares in each]).T
+    least = np.maximum(spread, (ROUNDING / _INTEGRATED) ** 2 * size)
+    return np.asarray(relative_error(error, variance, np.maximum(square, least), rounding=_INTEGRATED))

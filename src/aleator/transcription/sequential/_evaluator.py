@@ -6,7 +6,8 @@ coefficients, with derivatives; the rest of the work is small. A small problem i
 """
 
 from collections.abc import Callable
-from functools import reduce
+from dataclasses import dataclass
+from functools import cached_property, reduce
 from typing import Any, NamedTuple, final
 
 import jax
@@ -131,23 +132,45 @@ def parts_of(
     return list(zip(np.split(points, number), np.split(fit, number, axis=1), strict=True))
 
 
-class Evaluated(NamedTuple):
+@final
+@dataclass(frozen=True)
+class Evaluated:
     """A problem at some decisions.
 
-    - `derivatives`: of the objective, shape (1, n), then of the rows of each constraint, shape (rows, n);
-    - `times`: the instants of the grid.
+    - `values`: of the objective, shape (1,), then of each constraint, shape (rows,); `derivatives`: theirs, (rows, n);
+    - `statistics`: all in the expressions, in the order of `statistics_in`; `times`: the instants of the grid;
+    - `samples`, `tangents`: see `Share`, in the parts in which they were simulated; only the first `points` count.
     """
 
-    meaning: Meaning
-    derivatives: list[Float[np.ndarray, "rows n"]]
+    decisions: Float[np.ndarray, " n"]
+    values: list[Float[np.ndarray, " _rows"]]
+    derivatives: list[Float[np.ndarray, "_rows n"]]
+    statistics: tuple[Float[np.ndarray, "..."], ...]
     times: Float[np.ndarray, " instants"]
+    samples: tuple[tuple[Any, ...], ...]
+    tangents: tuple[tuple[Any, ...], ...]
+    points: int
+
+    @cached_property
+    def meaning(self) -> Meaning:
+        """The point with all samples. A search, which looks at values alone, joins none."""
+        samples = tuple(self._whole(parts, 0) for parts in zip(*self.samples, strict=True))
+        tangents = tuple(self._whole(parts, 1) for parts in zip(*self.tangents, strict=True))
+        objective, *constraints = self.values
+        return Meaning(self.decisions, float(objective[0]), constraints, samples, tangents, self.statistics)
+
+    def _whole(self, parts: tuple[Any, ...], axis: int) -> Any:
+        """An array of all points, which are along an axis, or None."""
+        if len(parts) == 1 or parts[0] is None:
+            return parts[0]
+        return np.concatenate(parts, axis)[(*[slice(None)] * axis, slice(self.points))]
 
     @property
     def evaluation(self) -> Evaluation:
         """The same in the solver's terms."""
-        gradient, *jacobian = self.derivatives
-        rows = np.concatenate([np.zeros(0), *self.meaning.constraints])
-        return Evaluation(self.meaning.objective, gradient[0], rows, np.concatenate([gradient[:0], *jacobian]))
+        (objective, *values), (gradient, *jacobian) = self.values, self.derivatives
+        rows = np.concatenate([np.zeros(0), *values])
+        return Evaluation(float(objective[0]), gradient[0], rows, np.concatenate([gradient[:0], *jacobian]))
 
 
 def _evaluate(
@@ -192,9 +215,8 @@ def _combine(
     """The blocks and the instants from terms and slopes of all parts, and the decisions."""
     every, decisions = zip(*shares[:2], strict=True), shares[2]
     terms, slopes = reduce(lambda one, other: jax.tree.map(jnp.add, one, other), every)
-    return combined(problem, problem.expressions, constants, terms, slopes, decisions), grid_at(
-        problem, decisions
-    ).times
+    blocks = combined(problem, problem.expressions, constants, terms, slopes, decisions)
+    return blocks, grid_at(problem, decisions).times
 
 
 def use_of(problem: Problem, collocation: Collocation, *_: Any) -> Use:
@@ -255,7 +277,8 @@ class Evaluator:
 
     def _evaluate(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         if self._combine is None:
-            (blocks, times), (samples, tangents) = self._programs[0](decisions)
+            (blocks, times), share = self._programs[0](decisions)
+            samples, tangents = (share[0],), (share[1],)
         else:
             # The calling thread traces a user's code before other threads start.
             for program in self._programs:
@@ -263,14 +286,9 @@ class Evaluator:
             shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
             samples, tangents, terms, slopes = zip(*shares, strict=True)
             blocks, times = self._combine((terms, slopes, jax_array(decisions)))
-            samples = tuple(np.concatenate(parts)[: self._points] for parts in zip(*samples, strict=True))
-            tangents = tuple(
-                None if parts[0] is None else np.concatenate(parts, axis=1)[:, : self._points]
-                for parts in zip(*tangents, strict=True)
-            )
         # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
-        is_finite = all(np.isfinite(one).all() for one in samples)
+        is_finite = all(np.isfinite(one).all() for part in samples for one in part)
         values = [one.values if is_finite else np.full_like(one.values, np.nan) for one in blocks]
         taken = tuple(statistic for one in blocks for statistic in one.statistics)
-        meaning = Meaning(decisions, float(values[0][0]), values[1:], samples, tangents, taken)
-        return Evaluated(meaning, [one.derivatives for one in blocks], times)
+        derivatives = [one.derivatives for one in blocks]
+        return Evaluated(decisions, values, derivatives, taken, times, samples, tangents, self._points)
