@@ -98,13 +98,13 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
         collocation, samples = self._known()
         values = []
         for terms, known in zip(outputs, samples, strict=True):
-            if kind.by_numpy and not is_traced(terms):
-                values.append(kind.of(terms, constants))
-                continue
             without = with_points_left_out(kind, collocation, known, terms, constants)
             arguments = kind, constants, terms if without is None else jax_array(without)
-            traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
-            value, error = evaluate_traced(traced, *arguments, use=_use(terms))
+            if kind.needs_no_compiler and not is_traced(arguments):
+                value, error = _statistic_of(*arguments)
+            else:
+                traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
+                value, error = evaluate_traced(traced, *arguments, use=_use(terms))
             if error is not None and not is_traced(error):
                 _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
             if without is not None:

@@ -31,6 +31,8 @@ from aleator.statistics._tails import Probability as Probability
 from aleator.statistics._tails import Quantile as Quantile
 from aleator.statistics._tails import cdf as cdf
 from aleator.statistics._tails import pdf as pdf
+from aleator.statistics._tails import prepare_tails as prepare_tails
+from aleator.statistics._tails import tails_with_slopes as tails_with_slopes
 from aleator.statistics._tails import together as together
 from aleator.statistics._units import EXPONENTS as EXPONENTS
 from aleator.statistics._units import PURE as PURE

@@ -8,6 +8,7 @@ few of hundreds; others are taken by points that all outputs share, some hundred
 transition.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
@@ -18,7 +19,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, jax_array, numbers_to_arrays
+from aleator._core.compilation import Compiled, Use
+from aleator._core.parallel import over_devices
 from aleator.statistics._lines import SINGLE, AnyLines, Cloud
 from aleator.statistics._lower_tails import AbstractLowerTail, Cut, lower_tail
 from aleator.statistics._statistic import Std, in_blocks, root
@@ -173,8 +176,8 @@ def _with_tangents(
     structure: Any, paths: int, primals: tuple[Array, AnyLines], tangents: tuple[Array, Any]
 ) -> tuple[Array, Array]:
     """The gradient is found once, together with the statistic: a tangent costs one sum."""
-    results = _evaluated(jax.value_and_grad(_of_row, argnums=1), structure, *primals, paths)
-    return results[0], jnp.sum(results[1:] * tangents[0], axis=0)
+    value, _, *slopes = _evaluated(_sloped, structure, *primals, paths)
+    return value, jnp.sum(jnp.stack(slopes) * tangents[0], axis=0)
 
 
 def estimate_of_row(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Estimate:
@@ -195,14 +198,21 @@ def _evaluated(
     lines, of_row = lines.for_one_of(entries), partial(function, structure)
     if entries <= SINGLE:
         return by_lines(of_row, rows, lines)
+    coarse, share = _by_points(function, structure, rows, lines.cloud, paths)
+    fine = by_lines(of_row, rows, lines, (coarse, jnp.argsort(-share), jnp.sum(share > 0)))
+    return coarse + share[None] * (fine - coarse)
+
+
+def _by_points(
+    function: Callable[..., Any], structure: Any, rows: Array, cloud: Cloud, paths: int
+) -> tuple[Float[Array, "results entries"], Float[Array, " entries"]]:
+    """The results of a function of each row by points, and the share that those by lines have in each."""
     kinds, terms = jax.tree.map(lambda each: each.reshape(*each.shape[:-1], paths, -1), _split(structure, rows))
     apart, away = kinds.apart(terms[0], Std().of(terms, ()))
     share = jnp.nan_to_num(jnp.clip(2 - apart / (_NEAR + _NEARER * away**2), 0.0, 1.0)).ravel()
     share = jax.lax.stop_gradient(share**2 * (3 - 2 * share))
-    by_points = jax.vmap(lambda row: _flat(of_row(row, partial(TailByPoints.of, cloud=lines.cloud))))
-    coarse = in_blocks(by_points, rows, _TOGETHER).T
-    fine = by_lines(of_row, rows, lines, (coarse, jnp.argsort(-share), jnp.sum(share > 0)))
-    return coarse + share[None] * (fine - coarse)
+    by_points = jax.vmap(lambda row: _flat(function(structure, row, partial(TailByPoints.of, cloud=cloud))))
+    return in_blocks(by_points, rows, _TOGETHER).T, share
 
 
 def _flat(results: Any) -> Float[Array, " results"]:
@@ -234,3 +244,85 @@ def by_lines(
         return results.at[:, order[k]].set(each(rows[:, order[k]]))
 
     return jax.lax.fori_loop(0, taken, evaluate, results)
+
+
+def _sloped(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Any:
+    """The statistic of an entry, its error, and its derivatives by all columns."""
+
+    def estimate(row: Float[Array, " columns"]) -> tuple[Array, Array]:
+        return estimate_of_row(structure, row, tail_of)
+
+    (value, error), slopes = jax.value_and_grad(estimate, has_aux=True)(row)
+    return value, error, slopes
+
+
+def _row_by_lines(
+    kind: Any, coefficients: Float[Array, " terms"], lines: AnyLines, entries: int
+) -> Float[Array, " results"]:
+    row, lines = rows_of([kind], [coefficients])[:, 0], lines.for_one_of(entries)
+    return _flat(_sloped(jax.tree.structure(kind), row, partial(lower_tail, lines=lines)))
+
+
+def _rows_by_points(
+    kinds: Sequence[Any], coefficients: Sequence[Float[Array, "terms entries"]], cloud: Cloud
+) -> tuple[Float[Array, "results entries"], Float[Array, " entries"]]:
+    rows = rows_of(kinds, coefficients)
+    return _by_points(_sloped, jax.tree.structure(kinds[0]), rows, cloud, len(kinds))
+
+
+# Their equations know no problem: one program serves all with as many variables and terms. Most have a loop that ends
+# by a condition, and run in milliseconds.
+BY_LINES, BY_POINTS = Compiled(_row_by_lines, use=Use.ONCE), Compiled(_rows_by_points, use=Use.ONCE)
+
+
+class Sloped(NamedTuple):
+    """A statistic of known coefficients of shape (terms, *shape).
+
+    - `values`, `errors`: the statistic, and the 95 % half-width of its integral over the expansion, NaN where points
+      have a part in it; `slopes`: the derivatives of values by the coefficients of the same entry.
+    """
+
+    values: Float[np.ndarray, "*shape"]
+    errors: Float[np.ndarray, "*shape"]
+    slopes: Float[np.ndarray, "terms *shape"]
+
+
+def sloped(
+    kinds: Sequence[Any],
+    coefficients: Sequence[Float[np.ndarray, "terms *shape"]],
+    lines: AnyLines,
+    *,
+    by_lines_alone: bool = False,
+) -> list[Sloped]:
+    """Statistics of one structure, of known outputs of one shape: entry by entry, on all cores."""
+    terms, shape = len(coefficients[0]), coefficients[0].shape[1:]
+    entries, kinds = math.prod(shape), numbers_to_arrays(list(kinds))
+    few = min(entries, SINGLE + 1)  # of which there is one program, and one for more
+    flat = [np.reshape(one, (terms, entries)) for one in coefficients]
+    results, share = np.zeros((2 + terms, len(kinds), entries)), np.ones((len(kinds), entries))
+    if entries > SINGLE and not by_lines_alone:
+        by_points, shares = map(np.asarray, BY_POINTS(kinds, list(map(jax_array, flat)), lines.cloud))
+        results, share = by_points[: 2 + terms].reshape(results.shape).copy(), shares.reshape(share.shape)
+    places = list(zip(*np.nonzero(share), strict=True))
+
+    def by_lines_at(place: tuple[int, int]) -> np.ndarray:
+        which, entry = place
+        row = jax_array(flat[which][:, entry])
+        return np.asarray(BY_LINES(kinds[which], row, lines, few))[: 2 + terms]
+
+    for (which, entry), fine in zip(places, over_devices(by_lines_at, places), strict=True):
+        coarse, part = results[:, which, entry], share[which, entry]
+        results[:, which, entry] = fine if part == 1 else coarse + part * (fine - coarse)
+    values, errors, slopes = (
+        np.moveaxis(each, -2, 0).reshape(len(kinds), *each.shape[:-2], *shape)
+        for each in (results[0], results[1], results[2:])
+    )
+    return list(map(Sloped, values, errors, slopes))
+
+
+def prepare_sloped(kinds: Sequence[Any], shape: tuple[int, ...], lines: AnyLines) -> None:
+    """Begin to compile what `sloped` will call for coefficients of a shape."""
+    entries, kinds = math.prod(shape[1:]), numbers_to_arrays(list(kinds))
+    BY_LINES.prepare(kinds[0], jax_array(np.zeros(shape[0])), lines, min(entries, SINGLE + 1))
+    if entries > SINGLE:
+        BY_POINTS.prepare(kinds, [jax_array(np.zeros((shape[0], entries)))] * len(kinds), lines.cloud)

@@ -43,7 +43,7 @@ class Sobol(AbstractStatistic):
     total: bool = eqx.field(static=True)
 
     dimensionless: ClassVar[bool] = True
-    by_numpy: ClassVar[bool] = True
+    needs_no_compiler: ClassVar[bool] = True
 
     def __init__(self, variables: str | tuple[str, ...], *, total: bool = False):
         names = (variables,) if isinstance(variables, str) else tuple(variables)

@@ -38,8 +38,8 @@ class AbstractStatistic(Module):
     speaks_of_one_system: ClassVar[bool] = False
     """Whether a bound on it also applies to a single system, whose value then takes its place: true for a mean or a
     quantile, false for a spread, which is zero for a single system."""
-    by_numpy: ClassVar[bool] = False
-    """Whether `of` computes by NumPy what is known, so that nothing is compiled for it."""
+    needs_no_compiler: ClassVar[bool] = False
+    """Whether `of` compiles nothing for what is known: it computes by NumPy, or by programs that all outputs share."""
 
     @property
     def preparation(self) -> Preparation | None:
@@ -118,7 +118,7 @@ class Mean(AbstractStatistic):
 
     symbol: ClassVar[str] = "μ"
     speaks_of_one_system: ClassVar[bool] = True
-    by_numpy: ClassVar[bool] = True
+    needs_no_compiler: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
@@ -143,7 +143,7 @@ class Variance(AbstractStatistic):
 
     symbol: ClassVar[str] = "Var"
     noisy: bool = eqx.field(static=True, default=False)
-    by_numpy: ClassVar[bool] = True
+    needs_no_compiler: ClassVar[bool] = True
 
     @override
     @quietly
@@ -181,7 +181,7 @@ class Std(AbstractStatistic):
 
     symbol: ClassVar[str] = "σ"
     noisy: bool = eqx.field(static=True, default=False)
-    by_numpy: ClassVar[bool] = True
+    needs_no_compiler: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
@@ -229,7 +229,7 @@ class Covariance(AbstractStatistic):
     """
 
     symbol: ClassVar[str] = "Cov"
-    by_numpy: ClassVar[bool] = True
+    needs_no_compiler: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
@@ -284,7 +284,7 @@ class Correlation(AbstractStatistic):
     """
 
     symbol: ClassVar[str] = "Corr"
-    by_numpy: ClassVar[bool] = True
+    needs_no_compiler: ClassVar[bool] = True
     dimensionless: ClassVar[bool] = True
 
     @override

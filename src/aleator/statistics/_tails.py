@@ -9,7 +9,7 @@ their tail. Entries of a path use fewer lines, or points (see `_output_distribut
 import abc
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
@@ -27,10 +27,13 @@ from aleator.statistics._output_distribution import (
     EQUAL,
     Estimate,
     OutputDistribution,
+    Sloped,
     TailOf,
     by_lines,
     estimate_of_row,
+    prepare_sloped,
     rows_of,
+    sloped,
     statistics_of_rows,
 )
 from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
@@ -45,6 +48,8 @@ class AbstractTail(AbstractStatistic):
     It has first derivatives only.
     """
 
+    needs_no_compiler: ClassVar[bool] = True
+
     @property
     @override
     def preparation(self) -> Callable[..., AnyLines]:
@@ -58,6 +63,9 @@ class AbstractTail(AbstractStatistic):
         self, coefficients: Float[Array, "terms *shape"], constants: AnyLines
     ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
         """The statistic by lines, and the 95 % half-width of its integral over the expansion."""
+        if not is_traced((self, coefficients, constants)):
+            known = sloped([self], [np.asarray(coefficients)], constants, by_lines_alone=True)[0]
+            return jax_array(known.values), jax_array(known.errors)
         rows, lines = rows_of([self], [coefficients]), constants.for_one_of(coefficients[0].size)
         value, error = by_lines(partial(estimate_of_row, jax.tree.structure(self)), rows, lines)
         return value.reshape(coefficients.shape[1:]), error.reshape(coefficients.shape[1:])
@@ -233,6 +241,9 @@ def tails_together(
     kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: AnyLines
 ) -> list[Float[Array, "*shape"]]:
     """Tails of one class and structure, of outputs of one shape: one loop for all, which is compiled once."""
+    if not is_traced((kinds, coefficients, constants)):
+        known = sloped(kinds, [np.asarray(one) for one in coefficients], constants)
+        return [jax_array(one.values) for one in known]
     rows = rows_of(kinds, coefficients)
     values = statistics_of_rows(jax.tree.structure(kinds[0]), rows, constants, len(kinds))
     return list(values.reshape(len(kinds), *coefficients[0].shape[1:]))
@@ -275,14 +286,37 @@ def together(
     statistics: Sequence[tuple[AbstractStatistic, Float[Array, "terms ..."]]], constants: Constants
 ) -> list[Float[Array, "..."] | None]:
     """The values of statistics that share one loop, which is compiled as fast as for one of them; None for the rest."""
-    alike: dict[tuple, list[int]] = {}
-    for i, (kind, coefficients) in enumerate(statistics):
-        if isinstance(kind, AbstractTail):
-            alike.setdefault((jax.tree.structure(kind), coefficients.shape), []).append(i)
     values: list[Array | None] = [None] * len(statistics)
-    for places in alike.values():
+    for places in _alike(statistics):
         if len(places) > 1:
             kinds, terms = zip(*(statistics[i] for i in places), strict=True)
             for i, value in zip(places, tails_together(kinds, terms, constants.of(kinds[0])), strict=True):
                 values[i] = value
     return values
+
+
+def tails_with_slopes(
+    statistics: Sequence[tuple[AbstractTail, Float[np.ndarray, "terms ..."]]], constants: Constants
+) -> list[Sloped]:
+    """Tails of known coefficients, with their derivatives by these."""
+    results = {}
+    for places in _alike(statistics):
+        kinds, terms = zip(*(statistics[i] for i in places), strict=True)
+        results |= dict(zip(places, sloped(kinds, terms, constants.of(kinds[0])), strict=True))
+    return [results[i] for i in range(len(statistics))]
+
+
+def prepare_tails(statistics: Sequence[tuple[AbstractTail, jax.ShapeDtypeStruct]], constants: Constants) -> None:
+    """Begin to compile what `tails_with_slopes` will call for coefficients of these shapes."""
+    for places in _alike(statistics):
+        kinds = [statistics[i][0] for i in places]
+        prepare_sloped(kinds, statistics[places[0]][1].shape, constants.of(kinds[0]))
+
+
+def _alike(statistics: Sequence[tuple[AbstractStatistic, Any]]) -> list[list[int]]:
+    """The places of tails of one class and structure, of outputs of one shape."""
+    alike: dict[tuple, list[int]] = {}
+    for i, (kind, coefficients) in enumerate(statistics):
+        if isinstance(kind, AbstractTail):
+            alike.setdefault((jax.tree.structure(kind), coefficients.shape), []).append(i)
+    return list(alike.values())

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +18,12 @@ from aleator.design import (
     Expression,
     Problem,
     Statistic,
+    beside_integrals,
     grid_at,
     integrated_paths,
     joined,
     sampled,
+    statistics_in,
 )
 from aleator.dynamics import Grid
 from aleator.expansion import (
@@ -31,7 +33,7 @@ from aleator.expansion import (
     mean_squares,
     relative_error,
 )
-from aleator.statistics import AbstractStatistic, Constants, Mean, Std, together
+from aleator.statistics import AbstractStatistic, AbstractTail, Constants, Mean, Std, together
 from aleator.uncertainty import named_numbers
 
 # A derivative that varies by less than this part of itself, or of how its output does, does not vary.
@@ -49,6 +51,7 @@ class ExpansionScope(AbstractScope):
     - `between`: the terms for integrals over time; `totals`: their values where these are known, in the order of
       evaluation;
     - `scenarios`: each functional on the realisations at which limits on the worst case are imposed;
+    - `known`: statistics that are known, by the identity of their kinds, because the numbers in these are traced;
     - `taken`: the statistics taken so far, in that order.
     """
 
@@ -58,10 +61,8 @@ class ExpansionScope(AbstractScope):
     between: "Between | None" = None
     scenarios: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = field(default_factory=dict)
     totals: Iterator[Float[Array, ""]] | None = None
+    known: "dict[_Which, Float[Array, '...']]" = field(default_factory=dict)
     taken: list[Float[Array, "..."]] = field(default_factory=list, init=False)
-    _together: dict[tuple[tuple[AbstractFunctional, ...], int], Float[Array, "..."]] = field(
-        default_factory=dict, init=False
-    )
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
@@ -75,11 +76,11 @@ class ExpansionScope(AbstractScope):
 
     def take_together(self, expressions: tuple[Expression, ...]) -> None:
         """Take those statistics of expressions now that share a loop, for where they are evaluated, or an equation."""
-        atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
+        every = (atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic))
+        atoms = [atom for atom in every if _which(atom) not in self.known]
         statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self.constants)
-        # By identity, because the numbers in a statistic are traced.
         pairs = zip(atoms, statistics, strict=True)
-        self._together = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
+        self.known |= {_which(one): values for one, values in pairs if values is not None}
         alike: dict[Any, dict[Any, list[Statistic]]] = {}
         for atom in atoms:
             if len(atom.functionals) == 1 and atom.kind.preparation is None and not jax.tree.leaves(atom.kind):
@@ -91,14 +92,14 @@ class ExpansionScope(AbstractScope):
                 continue
             values = kind.of(jnp.stack([self._terms(functionals) for functionals in outputs], axis=-1), None)
             for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
-                self._together |= {(atom.functionals, id(atom.kind)): own for atom in some}
+                self.known |= {_which(atom): own for atom in some}
 
     def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
         return joined([self.coefficients[one] for one in functionals])
 
     @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        terms, result = self._terms(functionals), self._together.get((functionals, id(kind)))
+        terms, result = self._terms(functionals), self.known.get((functionals, id(kind)))
         result = jnp.asarray(kind.of(terms, self.constants.of(kind)) if result is None else result)
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
@@ -131,6 +132,19 @@ class ExpansionScope(AbstractScope):
         return self.numbers[name]
 
 
+_Which: TypeAlias = tuple[tuple[AbstractFunctional, ...], int]
+
+
+def _which(one: Statistic) -> _Which:
+    return one.functionals, id(one.kind)
+
+
+def tails_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
+    """The statistics of tails that stand in expressions outside of integrals over time, in order of appearance."""
+    beside = (beside_integrals(one) for one in expressions)
+    return tuple(one for one in statistics_in(tuple(beside)) if isinstance(one.kind, AbstractTail))
+
+
 class Between(NamedTuple):
     """The terms for integrals of statistics over time.
 
@@ -146,12 +160,14 @@ class Terms(NamedTuple):
 
     - `coefficients`: of each functional; `nodes`: of each path whose statistics are integrated over time, at the
       instants and in the middles between them;
-    - `realised`: each functional at the scenarios of the worst case, if there are any.
+    - `realised`: each functional at the scenarios of the worst case, if there are any;
+    - `tails`: the statistics of `tails_in`, where these are known.
     """
 
     coefficients: tuple[Float[Array, "terms ..."], ...]
     nodes: tuple[Float[Array, "terms nodes ..."], ...]
     realised: tuple[Float[Array, "scenarios ..."], ...]
+    tails: tuple[Float[Array, "..."], ...] = ()
 
 
 def scope_of(
@@ -213,6 +229,7 @@ def scope_from(
         named_numbers(problem.simulation, decisions),
         Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None,
         dict(zip(functionals, terms.realised, strict=False)),
+        known=dict(zip(map(_which, tails_in(problem.expressions)), terms.tails, strict=False)),
     )
 
 

@@ -5,7 +5,7 @@ are sums over the points. So a large problem is simulated in parts, one per core
 coefficients, with derivatives; the rest of the work is small. A small problem is one program.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Any, NamedTuple, final
@@ -29,10 +29,10 @@ from aleator.design import (
 )
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
-from aleator.statistics import Constants
+from aleator.statistics import AbstractTail, Constants, prepare_tails, tails_with_slopes
 from aleator.transcription._abstract import Meaning, Remembered
 from aleator.transcription._discretised import Discretised
-from aleator.transcription._expansions import Terms, scope_from, seen, simulated
+from aleator.transcription._expansions import Terms, scope_from, seen, simulated, tails_in
 from aleator.transcription.sequential._affine import Anchors
 from aleator.transcription.sequential._instantaneous import Block, instantaneous, instantaneous_rows
 
@@ -161,8 +161,8 @@ class Evaluated:
 
     def _whole(self, parts: tuple[Any, ...], axis: int) -> Any:
         """An array of all points, which are along an axis, or None."""
-        if len(parts) == 1 or parts[0] is None:
-            return parts[0]
+        if parts[0] is None:
+            return None
         return np.concatenate(parts, axis)[(*[slice(None)] * axis, slice(self.points))]
 
     @property
@@ -204,22 +204,29 @@ def _evaluate(
 
 
 def _contribute(
-    problem: Problem, points: Float[Array, "points variables"], fit: Float[Array, "terms points"], decisions: Array
+    problem: Problem,
+    points: Float[Array, "points variables"],
+    fit: Float[Array, "terms points"],
+    scenarios: Float[Array, "scenarios variables"] | None,
+    decisions: Array,
 ) -> Share:
-    return share_of(problem, functionals_of(problem.expressions), points, fit, None, decisions)
+    return share_of(problem, functionals_of(problem.expressions), points, fit, scenarios, decisions)
 
 
 def _combine(
-    problem: Problem, constants: Constants, shares: tuple[tuple[Terms, ...], tuple[Terms, ...], Array]
+    problem: Problem,
+    constants: Constants,
+    shares: tuple[tuple[Terms, ...], tuple[Terms, ...], tuple[tuple[Array, ...], tuple[Array, ...]], Array],
 ) -> tuple[list[Block], Array]:
-    """The blocks and the instants from terms and slopes of all parts, and the decisions."""
-    every, decisions = zip(*shares[:2], strict=True), shares[2]
-    terms, slopes = reduce(lambda one, other: jax.tree.map(jnp.add, one, other), every)
+    """The blocks and the instants from terms and slopes of all parts, tails and their slopes, and the decisions."""
+    *every, tails, decisions = shares
+    terms, slopes = reduce(lambda one, other: jax.tree.map(jnp.add, one, other), zip(*every, strict=True))
+    terms, slopes = (one._replace(tails=own) for one, own in zip((terms, slopes), tails, strict=True))
     blocks = combined(problem, problem.expressions, constants, terms, slopes, decisions)
     return blocks, grid_at(problem, decisions).times
 
 
-def use_of(problem: Problem, collocation: Collocation, *_: Any) -> Use:
+def use_of(problem: Problem, points: int) -> Use:
     """The use of programs that simulate a problem: loops over time, or equations of every instant by itself.
 
     Where events divide steps, or a grid repeats, a step has many equations of single numbers: full optimisation takes
@@ -230,13 +237,57 @@ def use_of(problem: Problem, collocation: Collocation, *_: Any) -> Use:
         return Use.BRIEF
     if not divides_steps(problem):
         return Use.LOOPS
-    numbers = problem.grid.steps * len(collocation.points) * (1 + problem.placements.size)
+    numbers = problem.grid.steps * points * (1 + problem.placements.size)
     return Use.BRIEF if ends_by_event(problem) and numbers < _FEW_NUMBERS else Use.ONCE
 
 
-EVALUATE = Compiled(_evaluate, use=use_of)
-CONTRIBUTE = Compiled(_contribute)
+EVALUATE = Compiled(_evaluate, use=lambda problem, collocation, *_: use_of(problem, len(collocation.points)))
+CONTRIBUTE = Compiled(_contribute, use=lambda problem, points, *_: use_of(problem, len(points)))
 COMBINE = Compiled(_combine, use=Use.BRIEF)
+
+
+@final
+@dataclass(frozen=True)
+class Tails:
+    """The statistics of tails in a problem, which are computed between its programs.
+
+    They follow from coefficients alone, by programs that all problems share, and entries of a path are independent.
+
+    - `which`: the functional of each among those of the problem.
+    """
+
+    kinds: tuple[AbstractTail, ...]
+    which: tuple[int, ...]
+    constants: Constants
+
+    @classmethod
+    def of(cls, problem: Problem, constants: Constants) -> "Tails | None":
+        """Those of a problem; None if it has none."""
+        atoms, functionals = tails_in(problem.expressions), functionals_of(problem.expressions)
+        which = tuple(functionals.index(one.functionals[0]) for one in atoms)
+        return cls(tuple(one.kind for one in atoms), which, constants) if atoms else None  # type: ignore[arg-type]
+
+    def __call__(self, terms: Sequence[Terms], slopes: Sequence[Terms]) -> Any:
+        """Their values, and the derivatives of these by the decisions, from the terms of all parts."""
+        coefficients, tangents = (
+            [np.sum([one.coefficients[i] for one in parts], axis=0) for i in self.which] for parts in (terms, slopes)
+        )
+        every = tails_with_slopes(list(zip(self.kinds, coefficients, strict=True)), self.constants)
+        pairs = zip(every, tangents, strict=True)
+        return (
+            tuple(jax_array(one.values) for one in every),
+            tuple(jax_array(np.sum(one.slopes * along, axis=1)) for one, along in pairs),
+        )
+
+    def prepared(self, share: Any) -> Any:
+        """Begin to compile what is called, for the shapes of a part's share; the shapes of the result."""
+        every, along = ([own.coefficients[i] for i in self.which] for own in (share.terms, share.slopes))
+        prepare_tails(list(zip(self.kinds, every, strict=True)), self.constants)
+        shapes = [one.shape[1:] for one in every], [(one.shape[0], *one.shape[2:]) for one in along]
+        return tuple(tuple(jax.ShapeDtypeStruct(shape, float) for shape in some) for some in shapes)
+
+
+NONE: tuple[tuple[Array, ...], tuple[Array, ...]] = (), ()
 
 
 @final
@@ -252,11 +303,12 @@ class Evaluator:
         _, collocation, constants = discretised
         self.anchors = anchors
         self._points, parts = len(collocation.points), parts_of(traced, collocation, constants)
-        self._combine = None if len(parts) == 1 else COMBINE.bound(traced, constants)
+        self._tails = None if instantaneous(traced) else Tails.of(traced, constants)
+        self._combine = COMBINE.bound(traced, constants) if len(parts) > 1 or self._tails else None
         self._programs = (
             [EVALUATE.bound(traced, collocation, constants, anchors)]
             if self._combine is None
-            else [CONTRIBUTE.bound(traced, *map(jax_array, part), packed=False) for part in parts]
+            else [CONTRIBUTE.bound(traced, *map(jax_array, part), constants.scenarios, packed=False) for part in parts]
         )
         self._remembered: Remembered[Evaluated] = Remembered(self._evaluate)
 
@@ -270,7 +322,8 @@ class Evaluator:
         meanwhile()
         if self._combine is not None and share is not None:
             *_, terms, slopes = zip(*[share] * len(self._programs), strict=True)
-            self._combine.prepare((terms, slopes, jax_array(decisions)))
+            tails = self._tails.prepared(share) if self._tails else NONE
+            self._combine.prepare((terms, slopes, tails, jax_array(decisions)))
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         return self._remembered(decisions)
@@ -285,7 +338,8 @@ class Evaluator:
                 program.prepare(decisions)
             shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
             samples, tangents, terms, slopes = zip(*shares, strict=True)
-            blocks, times = self._combine((terms, slopes, jax_array(decisions)))
+            tails = self._tails(terms, slopes) if self._tails else NONE
+            blocks, times = self._combine((terms, slopes, tails, jax_array(decisions)))
         # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
         is_finite = all(np.isfinite(one).all() for part in samples for one in part)
         values = [one.values if is_finite else np.full_like(one.values, np.nan) for one in blocks]

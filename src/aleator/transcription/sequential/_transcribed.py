@@ -86,7 +86,7 @@ def _curvature(problem: Problem, collocation: Collocation, constants: Constants,
     return jax.jacfwd(jax.jacfwd(lagrangian))(at.decisions)
 
 
-CURVATURE = Compiled(_curvature, use=use_of)
+CURVATURE = Compiled(_curvature, use=lambda problem, collocation, *_: use_of(problem, len(collocation.points)))
 
 
 def _hessian(traced: Problem, discretised: Discretised, size: int) -> Hessian:
