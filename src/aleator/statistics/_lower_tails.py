@@ -15,7 +15,7 @@ import scipy
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, in_library
 from aleator._core.leaves import Module
 from aleator.statistics._lines import END, AnyLines, Lines, LinesInElements, LineValues, horner
 from aleator.statistics._statistic import root
@@ -305,6 +305,9 @@ def _beyond(at: Array) -> Array:
 
 def normal_score(probability: Scalar) -> Array:
     """The normal quantile of a probability."""
+    library, probability = in_library(probability)
+    if library is np:
+        return scipy.special.ndtri(probability)
     return math.sqrt(2) * jax.lax.erf_inv(2 * jnp.asarray(probability) - 1)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar, jax_array, numbers_to_arrays
+from aleator._core.arrays import Scalar, in_library, jax_array, numbers_to_arrays, quietly
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
 from aleator.statistics._lines import SINGLE, AnyLines, Cloud
@@ -198,21 +198,27 @@ def _evaluated(
     lines, of_row = lines.for_one_of(entries), partial(function, structure)
     if entries <= SINGLE:
         return by_lines(of_row, rows, lines)
-    coarse, share = _by_points(function, structure, rows, lines.cloud, paths)
+    kinds, terms = jax.tree.map(lambda each: each.reshape(*each.shape[:-1], paths, -1), _split(structure, rows))
+    share = jax.lax.stop_gradient(_share_by_lines(kinds, terms).ravel())
+    coarse = _by_points(of_row, rows, lines.cloud)
     fine = by_lines(of_row, rows, lines, (coarse, jnp.argsort(-share), jnp.sum(share > 0)))
     return coarse + share[None] * (fine - coarse)
 
 
 def _by_points(
-    function: Callable[..., Any], structure: Any, rows: Array, cloud: Cloud, paths: int
-) -> tuple[Float[Array, "results entries"], Float[Array, " entries"]]:
-    """The results of a function of each row by points, and the share that those by lines have in each."""
-    kinds, terms = jax.tree.map(lambda each: each.reshape(*each.shape[:-1], paths, -1), _split(structure, rows))
-    apart, away = kinds.apart(terms[0], Std().of(terms, ()))
-    share = jnp.nan_to_num(jnp.clip(2 - apart / (_NEAR + _NEARER * away**2), 0.0, 1.0)).ravel()
-    share = jax.lax.stop_gradient(share**2 * (3 - 2 * share))
-    by_points = jax.vmap(lambda row: _flat(function(structure, row, partial(TailByPoints.of, cloud=cloud))))
-    return in_blocks(by_points, rows, _TOGETHER).T, share
+    of_row: Callable[..., Any], rows: Float[Array, "columns entries"], cloud: Cloud
+) -> Float[Array, "results entries"]:
+    by_points = jax.vmap(lambda row: _flat(of_row(row, partial(TailByPoints.of, cloud=cloud))))
+    return in_blocks(by_points, rows, _TOGETHER).T
+
+
+@quietly
+def _share_by_lines(kind: Any, terms: Any) -> Float[Array, "*n entries"]:
+    """The part that lines have in each entry of a path; points have the rest."""
+    library, terms = in_library(terms)
+    apart, away = kind.apart(terms[0], Std().of(terms, ()))
+    share = library.nan_to_num(library.clip(2 - apart / (_NEAR + _NEARER * away**2), 0.0, 1.0))
+    return share**2 * (3 - 2 * share)
 
 
 def _flat(results: Any) -> Float[Array, " results"]:
@@ -264,15 +270,16 @@ def _row_by_lines(
 
 
 def _rows_by_points(
-    kinds: Sequence[Any], coefficients: Sequence[Float[Array, "terms entries"]], cloud: Cloud
-) -> tuple[Float[Array, "results entries"], Float[Array, " entries"]]:
-    rows = rows_of(kinds, coefficients)
-    return _by_points(_sloped, jax.tree.structure(kinds[0]), rows, cloud, len(kinds))
+    kind: Any, coefficients: Float[Array, "terms entries"], cloud: Cloud
+) -> Float[Array, "results entries"]:
+    return _by_points(partial(_sloped, jax.tree.structure(kind)), rows_of([kind], [coefficients]), cloud)
 
 
 # Their equations know no problem: one program serves all with as many variables and terms. Most have a loop that ends
 # by a condition, and run in milliseconds.
 BY_LINES, BY_POINTS = Compiled(_row_by_lines, use=Use.ONCE), Compiled(_rows_by_points, use=Use.ONCE)
+# Entries of one call.
+_OF_A_CALL = 8 * _TOGETHER
 
 
 class Sloped(NamedTuple):
@@ -288,41 +295,39 @@ class Sloped(NamedTuple):
 
 
 def sloped(
-    kinds: Sequence[Any],
-    coefficients: Sequence[Float[np.ndarray, "terms *shape"]],
-    lines: AnyLines,
-    *,
-    by_lines_alone: bool = False,
-) -> list[Sloped]:
-    """Statistics of one structure, of known outputs of one shape: entry by entry, on all cores."""
-    terms, shape = len(coefficients[0]), coefficients[0].shape[1:]
-    entries, kinds = math.prod(shape), numbers_to_arrays(list(kinds))
-    few = min(entries, SINGLE + 1)  # of which there is one program, and one for more
-    flat = [np.reshape(one, (terms, entries)) for one in coefficients]
-    results, share = np.zeros((2 + terms, len(kinds), entries)), np.ones((len(kinds), entries))
-    if entries > SINGLE and not by_lines_alone:
-        by_points, shares = map(np.asarray, BY_POINTS(kinds, list(map(jax_array, flat)), lines.cloud))
-        results, share = by_points[: 2 + terms].reshape(results.shape).copy(), shares.reshape(share.shape)
-    places = list(zip(*np.nonzero(share), strict=True))
+    kind: Any, coefficients: Float[np.ndarray, "terms *shape"], lines: AnyLines, *, by_lines_alone: bool = False
+) -> Sloped:
+    """A statistic of a known output, entry by entry, on all cores."""
+    terms, *shape = coefficients.shape
+    every = coefficients.reshape(terms, -1)
+    is_finite = np.isfinite(every).all(axis=0)
+    results, entries = np.full((2 + terms, every.shape[1]), np.nan), every[:, is_finite]
+    few, numbers = min(every.shape[1], SINGLE + 1), numbers_to_arrays(kind)  # one program for a few, one for more
 
-    def by_lines_at(place: tuple[int, int]) -> np.ndarray:
-        which, entry = place
-        row = jax_array(flat[which][:, entry])
-        return np.asarray(BY_LINES(kinds[which], row, lines, few))[: 2 + terms]
+    def by_points(some: Float[np.ndarray, "terms entries"]) -> Float[np.ndarray, "results entries"]:
+        filled = np.pad(some, ((0, 0), (0, _OF_A_CALL - some.shape[1])), mode="edge")
+        return np.asarray(BY_POINTS(numbers, jax_array(filled), lines.cloud))[: 2 + terms, : some.shape[1]]
 
-    for (which, entry), fine in zip(places, over_devices(by_lines_at, places), strict=True):
-        coarse, part = results[:, which, entry], share[which, entry]
-        results[:, which, entry] = fine if part == 1 else coarse + part * (fine - coarse)
-    values, errors, slopes = (
-        np.moveaxis(each, -2, 0).reshape(len(kinds), *each.shape[:-2], *shape)
-        for each in (results[0], results[1], results[2:])
-    )
-    return list(map(Sloped, values, errors, slopes))
+    def by_lines_at(entry: int) -> Float[np.ndarray, " results"]:
+        return np.asarray(BY_LINES(numbers, jax_array(entries[:, entry]), lines, few))[: 2 + terms]
+
+    share, coarse = np.ones(entries.shape[1]), np.zeros((2 + terms, entries.shape[1]))
+    if few > SINGLE and entries.size and not by_lines_alone:
+        share = np.asarray(_share_by_lines(kind, entries))
+        blocks = np.split(entries, range(_OF_A_CALL, entries.shape[1], _OF_A_CALL), axis=1)
+        coarse = np.concatenate(list(over_devices(by_points, blocks)), axis=1)
+    near = np.flatnonzero(share).tolist()
+    for entry, fine in zip(near, over_devices(by_lines_at, near), strict=True):
+        part, own = share[entry], coarse[:, entry]
+        coarse[:, entry] = fine if part == 1 else own + part * (fine - own)
+    results[:, is_finite] = coarse
+    value, error, *slopes = results.reshape(2 + terms, *shape)
+    return Sloped(value, error, np.stack(slopes))
 
 
-def prepare_sloped(kinds: Sequence[Any], shape: tuple[int, ...], lines: AnyLines) -> None:
+def prepare_sloped(kind: Any, shape: tuple[int, ...], lines: AnyLines) -> None:
     """Begin to compile what `sloped` will call for coefficients of a shape."""
-    entries, kinds = math.prod(shape[1:]), numbers_to_arrays(list(kinds))
-    BY_LINES.prepare(kinds[0], jax_array(np.zeros(shape[0])), lines, min(entries, SINGLE + 1))
+    terms, entries, numbers = shape[0], math.prod(shape[1:]), numbers_to_arrays(kind)
+    BY_LINES.prepare(numbers, jax_array(np.zeros(terms)), lines, min(entries, SINGLE + 1))
     if entries > SINGLE:
-        BY_POINTS.prepare(kinds, [jax_array(np.zeros((shape[0], entries)))] * len(kinds), lines.cloud)
+        BY_POINTS.prepare(numbers, jax_array(np.zeros((terms, _OF_A_CALL))), lines.cloud)

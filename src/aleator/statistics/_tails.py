@@ -9,7 +9,7 @@ their tail. Entries of a path use fewer lines, or points (see `_output_distribut
 import abc
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import equinox as eqx
 import jax
@@ -27,11 +27,9 @@ from aleator.statistics._output_distribution import (
     EQUAL,
     Estimate,
     OutputDistribution,
-    Sloped,
     TailOf,
     by_lines,
     estimate_of_row,
-    prepare_sloped,
     rows_of,
     sloped,
     statistics_of_rows,
@@ -64,7 +62,7 @@ class AbstractTail(AbstractStatistic):
     ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
         """The statistic by lines, and the 95 % half-width of its integral over the expansion."""
         if not is_traced((self, coefficients, constants)):
-            known = sloped([self], [np.asarray(coefficients)], constants, by_lines_alone=True)[0]
+            known = sloped(self, np.asarray(coefficients), constants, by_lines_alone=True)
             return jax_array(known.values), jax_array(known.errors)
         rows, lines = rows_of([self], [coefficients]), constants.for_one_of(coefficients[0].size)
         value, error = by_lines(partial(estimate_of_row, jax.tree.structure(self)), rows, lines)
@@ -97,12 +95,13 @@ class AbstractAtLevel(AbstractTail):
         return min(float(self.level), 1 - float(self.level)), float(self.level) < 0.5
 
     @override
+    @quietly
     def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
-        away = normal_score(self.level)
+        library, mean, std, away = in_library(mean, std, normal_score(self.level))
         # The largest of quantiles above the mean, the smallest of those below it.
-        normal = jnp.where(away < 0, -1.0, 1.0) * mean + jnp.abs(away) * std
-        behind = jnp.nanmax(normal, axis=-1, keepdims=True) - normal
-        return behind / jnp.maximum(std, _NO_SPREAD * behind), jnp.abs(away)
+        normal = library.where(away < 0, -1.0, 1.0) * mean + library.abs(away) * std
+        behind = library.nanmax(normal, axis=-1, keepdims=True) - normal
+        return behind / library.maximum(std, _NO_SPREAD * behind), library.abs(away)
 
 
 @final
@@ -197,10 +196,12 @@ class Probability(AbstractTail):
         return [threshold for threshold in (self.above, self.below) if threshold is not None]
 
     @override
+    @quietly
     def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
-        away = [jnp.abs(threshold - mean) for threshold in self._thresholds]
-        scores = jnp.min(jnp.stack(away), axis=0) / jnp.maximum(std, _NO_SPREAD * away[0])
-        nearest = jnp.nanmin(scores, axis=-1, keepdims=True)
+        library, mean, std, thresholds = in_library(mean, std, self._thresholds)
+        away = [library.abs(threshold - mean) for threshold in thresholds]
+        scores = library.min(library.stack(away), axis=0) / library.maximum(std, _NO_SPREAD * away[0])
+        nearest = library.nanmin(scores, axis=-1, keepdims=True)
         return scores - nearest, nearest
 
     @override
@@ -240,10 +241,10 @@ def _brief(threshold: Scalar | None) -> str:
 def tails_together(
     kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: AnyLines
 ) -> list[Float[Array, "*shape"]]:
-    """Tails of one class and structure, of outputs of one shape: one loop for all, which is compiled once."""
+    """Tails of one class and structure, of outputs of one shape; where they are traced, in one loop for all."""
     if not is_traced((kinds, coefficients, constants)):
-        known = sloped(kinds, [np.asarray(one) for one in coefficients], constants)
-        return [jax_array(one.values) for one in known]
+        pairs = zip(kinds, coefficients, strict=True)
+        return [jax_array(sloped(kind, np.asarray(terms), constants).values) for kind, terms in pairs]
     rows = rows_of(kinds, coefficients)
     values = statistics_of_rows(jax.tree.structure(kinds[0]), rows, constants, len(kinds))
     return list(values.reshape(len(kinds), *coefficients[0].shape[1:]))
@@ -286,37 +287,14 @@ def together(
     statistics: Sequence[tuple[AbstractStatistic, Float[Array, "terms ..."]]], constants: Constants
 ) -> list[Float[Array, "..."] | None]:
     """The values of statistics that share one loop, which is compiled as fast as for one of them; None for the rest."""
+    alike: dict[tuple, list[int]] = {}
+    for i, (kind, coefficients) in enumerate(statistics):
+        if isinstance(kind, AbstractTail):
+            alike.setdefault((jax.tree.structure(kind), coefficients.shape), []).append(i)
     values: list[Array | None] = [None] * len(statistics)
-    for places in _alike(statistics):
+    for places in alike.values():
         if len(places) > 1:
             kinds, terms = zip(*(statistics[i] for i in places), strict=True)
             for i, value in zip(places, tails_together(kinds, terms, constants.of(kinds[0])), strict=True):
                 values[i] = value
     return values
-
-
-def tails_with_slopes(
-    statistics: Sequence[tuple[AbstractTail, Float[np.ndarray, "terms ..."]]], constants: Constants
-) -> list[Sloped]:
-    """Tails of known coefficients, with their derivatives by these."""
-    results = {}
-    for places in _alike(statistics):
-        kinds, terms = zip(*(statistics[i] for i in places), strict=True)
-        results |= dict(zip(places, sloped(kinds, terms, constants.of(kinds[0])), strict=True))
-    return [results[i] for i in range(len(statistics))]
-
-
-def prepare_tails(statistics: Sequence[tuple[AbstractTail, jax.ShapeDtypeStruct]], constants: Constants) -> None:
-    """Begin to compile what `tails_with_slopes` will call for coefficients of these shapes."""
-    for places in _alike(statistics):
-        kinds = [statistics[i][0] for i in places]
-        prepare_sloped(kinds, statistics[places[0]][1].shape, constants.of(kinds[0]))
-
-
-def _alike(statistics: Sequence[tuple[AbstractStatistic, Any]]) -> list[list[int]]:
-    """The places of tails of one class and structure, of outputs of one shape."""
-    alike: dict[tuple, list[int]] = {}
-    for i, (kind, coefficients) in enumerate(statistics):
-        if isinstance(kind, AbstractTail):
-            alike.setdefault((jax.tree.structure(kind), coefficients.shape), []).append(i)
-    return list(alike.values())

@@ -29,7 +29,7 @@ from aleator.design import (
 )
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
-from aleator.statistics import AbstractTail, Constants, prepare_tails, tails_with_slopes
+from aleator.statistics import AbstractTail, Constants, prepare_sloped, sloped
 from aleator.transcription._abstract import Meaning, Remembered
 from aleator.transcription._discretised import Discretised
 from aleator.transcription._expansions import Terms, scope_from, seen, simulated, tails_in
@@ -272,17 +272,16 @@ class Tails:
         coefficients, tangents = (
             [np.sum([one.coefficients[i] for one in parts], axis=0) for i in self.which] for parts in (terms, slopes)
         )
-        every = tails_with_slopes(list(zip(self.kinds, coefficients, strict=True)), self.constants)
-        pairs = zip(every, tangents, strict=True)
-        return (
-            tuple(jax_array(one.values) for one in every),
-            tuple(jax_array(np.sum(one.slopes * along, axis=1)) for one, along in pairs),
-        )
+        pairs = zip(self.kinds, coefficients, strict=True)
+        every = [sloped(kind, terms, self.constants.of(kind)) for kind, terms in pairs]
+        slopes = [np.sum(one.slopes * along, axis=1) for one, along in zip(every, tangents, strict=True)]
+        return tuple(jax_array(one.values) for one in every), tuple(map(jax_array, slopes))
 
     def prepared(self, share: Any) -> Any:
         """Begin to compile what is called, for the shapes of a part's share; the shapes of the result."""
         every, along = ([own.coefficients[i] for i in self.which] for own in (share.terms, share.slopes))
-        prepare_tails(list(zip(self.kinds, every, strict=True)), self.constants)
+        for kind, terms in zip(self.kinds, every, strict=True):
+            prepare_sloped(kind, terms.shape, self.constants.of(kind))
         shapes = [one.shape[1:] for one in every], [(one.shape[0], *one.shape[2:]) for one in along]
         return tuple(tuple(jax.ShapeDtypeStruct(shape, float) for shape in some) for some in shapes)
 

@@ -30,7 +30,7 @@ from aleator.dynamics import AbstractCollocation, named
 from aleator.ensemble import inputs_at, listed
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
-from aleator.statistics import Constants, Mean, Std, Variance
+from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered
 from aleator.transcription._discretised import Discretised
 from aleator.transcription._expansions import ExpansionScope
@@ -169,8 +169,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         fitted = [
             self.collocation.coefficients(jax_array(samples[one][:count])) for one in expanded_functionals(expressions)
         ]
-        # NumPy computes moments, so that only other statistics take a program.
-        known = all(isinstance(one.kind, Mean | Variance | Std) for one in statistics_in(expressions))
+        known = all(one.kind.needs_no_compiler for one in statistics_in(expressions))
         taken = (_taken if known else TAKEN)(self.traced, self.constants, fitted)
         functionals = functionals_of(expressions)
         return Meaning(
