@@ -1,7 +1,8 @@
 """The expansions of a problem: the statistics that follow from their coefficients, and how well they are resolved."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache, partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -10,8 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array
+from aleator._core.arrays import in_library, jax_array, quietly
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_traced
 from aleator.design import (
     AbstractFunctional,
     AbstractScope,
@@ -45,41 +48,43 @@ _FEW = 4
 class ExpansionScope(AbstractScope):
     """Takes every statistic from the coefficients of expansions.
 
-    - `coefficients`: of each functional; `numbers`: those of the model, by name;
+    - `coefficients`: of each functional; `numbers`: gives those of the model, by name;
     - `between`: the terms for integrals over time; `totals`: their values where these are known, in the order of
       evaluation;
     - `scenarios`: each functional on the realisations at which limits on the worst case are imposed;
     - `taken`: the statistics taken so far, in that order.
+
+    Of known coefficients NumPy takes what it can, and each other statistic is a program by itself.
     """
 
     coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]]
     constants: Constants
-    numbers: Mapping[str, Any]
+    numbers: Callable[[], Mapping[str, Any]]
     between: "Between | None" = None
     scenarios: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = field(default_factory=dict)
     totals: Iterator[Float[Array, ""]] | None = None
     taken: list[Float[Array, "..."]] = field(default_factory=list, init=False)
-    _together: dict[tuple[tuple[AbstractFunctional, ...], int], Float[Array, "..."]] = field(
+    _known: dict[tuple[tuple[AbstractFunctional, ...], int], Float[Array, "..."]] = field(
         default_factory=dict, init=False
     )
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
         blocks, taken = [], []
-        self.take_together(expressions)
+        self._take_together(expressions)
         for one in expressions:
             before = len(self.taken)
             blocks.append(jnp.ravel(one.evaluate(self)))
             taken.append(tuple(self.taken[before:]))
         return tuple(blocks), tuple(taken)
 
-    def take_together(self, expressions: tuple[Expression, ...]) -> None:
+    def _take_together(self, expressions: tuple[Expression, ...]) -> None:
         """Take those statistics of expressions now that share a loop, for where they are evaluated, or an equation."""
         atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
         statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self.constants)
         # By identity, because the numbers in a statistic are traced.
         pairs = zip(atoms, statistics, strict=True)
-        self._together = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
+        self._known = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
         alike: dict[Any, dict[Any, list[Statistic]]] = {}
         for atom in atoms:
             if len(atom.functionals) == 1 and atom.kind.preparation is None and not jax.tree.leaves(atom.kind):
@@ -91,15 +96,18 @@ class ExpansionScope(AbstractScope):
                 continue
             values = kind.of(jnp.stack([self._terms(functionals) for functionals in outputs], axis=-1), None)
             for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
-                self._together |= {(atom.functionals, id(atom.kind)): own for atom in some}
+                self._known |= {(atom.functionals, id(atom.kind)): own for atom in some}
 
-    def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
+    def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Any, "terms ..."]:
         return joined([self.coefficients[one] for one in functionals])
 
     @override
+    @quietly
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        terms, result = self._terms(functionals), self._together.get((functionals, id(kind)))
-        result = jnp.asarray(kind.of(terms, self.constants.of(kind)) if result is None else result)
+        terms, key = self._terms(functionals), (functionals, id(kind))
+        if key not in self._known:
+            self._known[key] = jax_array(_taken(kind, terms, self.constants.of(kind)))
+        result = self._known[key]
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
         if result.shape != expected:
@@ -117,18 +125,30 @@ class ExpansionScope(AbstractScope):
         assert self.between is not None
         nodes, weights = self.between
         inner = ExpansionScope({**self.coefficients, **nodes}, self.constants, self.numbers)
-        integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
+        library, *both = in_library(weights, expression.evaluate(inner))
+        integral = jax_array(library.tensordot(*both, axes=1))
         # Statistics are recorded at the instants alone.
-        self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
+        self.taken += [one if one.ndim == 0 else one[::2] for one in in_library(*inner.taken)[1:]]
         return integral
 
     @override
-    def realised(self, functional: AbstractFunctional) -> Float[Array, "... scenarios"]:
-        return jnp.moveaxis(self.scenarios[functional], 0, -1)
+    def realised(self, functional: AbstractFunctional) -> Float[Any, "... scenarios"]:
+        library, values = in_library(self.scenarios[functional])
+        return library.moveaxis(values, 0, -1)
 
     @override
     def value(self, name: str) -> Float[Array, ""]:
-        return self.numbers[name]
+        return self.numbers()[name]
+
+
+def _taken(kind: AbstractStatistic, terms: Float[Any, "terms ..."], constants: Any) -> Float[Any, "..."]:
+    if kind.by_numpy or is_traced((kind, terms, constants)):
+        return kind.of(terms, constants)
+    return evaluate(_of, kind, jax_array(terms), constants, use=Use.ONCE)
+
+
+def _of(kind: AbstractStatistic, terms: Float[Array, "terms ..."], constants: Any) -> Float[Array, "..."]:
+    return kind.of(terms, constants)
 
 
 class Between(NamedTuple):
@@ -149,9 +169,9 @@ class Terms(NamedTuple):
     - `realised`: each functional at the scenarios of the worst case, if there are any.
     """
 
-    coefficients: tuple[Float[Array, "terms ..."], ...]
-    nodes: tuple[Float[Array, "terms nodes ..."], ...]
-    realised: tuple[Float[Array, "scenarios ..."], ...]
+    coefficients: tuple[Float[Any, "terms ..."], ...]
+    nodes: tuple[Float[Any, "terms nodes ..."], ...]
+    realised: tuple[Float[Any, "scenarios ..."], ...]
 
 
 def scope_of(
@@ -175,24 +195,21 @@ def simulated(
     problem: Problem,
     functionals: tuple[AbstractFunctional, ...],
     points: Float[Array, "points variables"],
-    fit: Float[Array, "terms fitted"],
+    fit: Float[Array, "terms points"],
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
-    courses: Float[Array, "systems parts states"] | None = None,
 ) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
-    """Functionals at some points, and the contribution of the collocation points among these to the coefficients.
+    """Functionals at some collocation points, and their contribution to the coefficients.
 
-    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the first points; others have none;
-    - `courses`: the states from which parts of the time are simulated, of the points, then of the scenarios.
+    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to these points.
     """
     if not functionals:
         return (), Terms((), (), ())
     count, every = len(points), points if scenarios is None else jnp.concatenate([points, scenarios])
-    paths, fitted = _integrated(problem, functionals), fit.shape[1]
-    sampling = sampled(problem, functionals, paths, every, decisions, courses)
+    sampling = sampled(problem, functionals, _integrated(problem, functionals), every, decisions)
     return tuple(values[:count] for values in sampling.values), Terms(
-        coefficients=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.values),
-        nodes=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.nodes),
+        coefficients=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in sampling.values),
+        nodes=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in sampling.nodes),
         realised=() if scenarios is None else tuple(values[count:] for values in sampling.values),
     )
 
@@ -205,12 +222,12 @@ def scope_from(
     decisions: Float[Array, " n"],
 ) -> ExpansionScope:
     """The scope of expressions whose functionals have been simulated."""
-    paths, grid = _integrated(problem, functionals), grid_at(problem, decisions)
-    nodes = dict(zip(paths, terms.nodes, strict=True))
+    nodes = dict(zip(_integrated(problem, functionals), terms.nodes, strict=True))
+    grid = grid_at(problem, decisions) if nodes else None
     return ExpansionScope(
         dict(zip(functionals, terms.coefficients, strict=True)),
         constants,
-        named_numbers(problem.simulation, decisions),
+        cache(partial(named_numbers, problem.simulation, decisions)),
         Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None,
         dict(zip(functionals, terms.realised, strict=False)),
     )
