@@ -120,6 +120,34 @@ def test_the_values_of_an_input_are_decided_and_uncertain_in_a_problem():
     assert optimum(problem).decisions["inputs.u.values.1"] == pytest.approx(-0.5, abs=1e-6)
 
 
+class Pumped(al.System):
+    states = ("x",)
+    inputs = ("u",)
+    rate: al.Number
+
+    def rhs(self, t, z, u):
+        return (self.rate * u,)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_a_table_of_plain_numbers_is_what_the_answer_and_its_check_integrate():
+    problem = al.Problem(
+        Pumped(rate=al.Uniform(al.Decision(1.0, 0.1, 10.0), half_width=0.3)),
+        grid=al.Grid(4.0, 6, t_start=1.0),
+        inputs={"u": al.Tabulated([1.0, 2.0, 4.0], [2.0, 4.0, -2.0])},
+        minimize=al.time_integral(al.path("x").std),
+        subject_to=[al.terminal("x").mean.equals(10.0)],
+    )
+    solution = al.solve(problem)
+    # Of the table U = 2s + s² with s = t - 1 up to t = 2, then 3 + 4r - 1.5r² with r = t - 2: it ends at 5, and its own
+    # integral is 4/3 + 10. Both integrators, and Simpson's rule, are exact for such pieces.
+    assert solution.decisions["rate.mean"] == pytest.approx(2.0, rel=1e-8)
+    assert solution.objective == pytest.approx(0.3 / np.sqrt(3.0) * (4 / 3 + 10), rel=1e-12)
+    assert solution.certificate.grid_error.objective.error < 1e-12
+
+
 def test_a_grid_knows_its_instants_and_simpsons_rule():
     grid = al.Grid(3.0, 8, t_start=1.0)
     np.testing.assert_allclose(grid.times, np.linspace(1.0, 3.0, 9), rtol=1e-15)

@@ -2,7 +2,6 @@
 
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
-from aleator.certification._check import prepare_check as prepare_check
 from aleator.certification._fresh import check_factor as check_factor
 from aleator.certification._fresh import is_checked as is_checked
 from aleator.certification._fresh import pieces as pieces
@@ -21,6 +20,7 @@ from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts
 from aleator.certification._solution import solution_of as solution_of
 from aleator.certification._solution import with_opinion as with_opinion
+from aleator.certification._systems import prepare_check as prepare_check
 from aleator.certification._worst_case import Oracle as Oracle
 from aleator.certification._worst_case import broken_at as broken_at
 from aleator.certification._worst_case import idle_scenarios as idle_scenarios

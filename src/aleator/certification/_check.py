@@ -1,46 +1,27 @@
-"""CHECK: a problem at one point, by other means than those that found it.
-
-One compiled program simulates the collocation points and fresh systems, which no solver has seen, on a finer grid and
-with an integrator of another order. The finer grid has an odd prime number of times as many steps, so that its instants
-are in no phase with those of the problem's: what is constant at these, such as a ripple of their period, shows there.
+"""A problem at one point, by other means than those that found it: the collocation points and fresh systems, which no
+solver has seen, are simulated on a finer grid by an integrator of another order, see `_systems.py`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from functools import cache, cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.compilation import Bound, Compiled, Use
-from aleator._core.parallel import beside
-from aleator.certification._fresh import FreshSystems, is_checked, systems_of
-from aleator.design import (
-    AbstractFunctional,
-    Constraint,
-    Peak,
-    Problem,
-    Statistic,
-    divides_steps,
-    functionals_of,
-    grid_at,
-    statistics_in,
-)
+from aleator._core.arrays import jax_array, quietly
+from aleator.certification._fresh import FreshSystems, systems_of
+from aleator.certification._systems import Simulations, Values, history_of
+from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, grid_at, statistics_in
 from aleator.dynamics import AbstractIntegrator, Grid, Rodas5P
-from aleator.expansion import Collocation
-from aleator.statistics import AbstractTail, Constants, Mean, Std
-from aleator.transcription import AbstractTranscribed, Discretised, Meaning, scope_from, simulated
+from aleator.statistics import Mean, Std
+from aleator.transcription import AbstractTranscribed, ExpansionScope, Meaning, Terms, scope_from
 
-# Most steps of all systems together in a check that takes longer to compile well than to run.
-_BRIEF = 500_000
 # Rounding as a part of the magnitude of an output and of a constraint, and integration error as a part of an output's.
 _ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
-# A simulation that departs from a mesh by so many times what it simulates; fractions of the duration that are the same.
-_DEPARTED, _SAME = 10.0, 1e-9
+# A simulation that departs from a mesh by so many times what it simulates.
+_DEPARTED = 10.0
 
 
 @final
@@ -82,23 +63,35 @@ class Checked:
 class Check:
     """A problem at one point of its program by CHECK.
 
-    - `values`: the objective, then the constraints, those of paths at every instant of the finer grid;
-    - `statistics`: each statistic in the expressions, at the instants of the problem's own grid;
-    - `functionals`: each functional in them;
-    - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name;
+    - `functionals`: each functional in the expressions; `scope`: what these follow from on the finer grid;
+    - `systems`: the fresh systems; `simulations`: of any others;
+    - `factor`: how many times as many steps the finer grid has;
     - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
       each step was simulated from the mesh's own state; else empty.
     """
 
-    transcribed: AbstractTranscribed
-    point: Float[np.ndarray, " variables"]
-    values: tuple[Float[np.ndarray, "..."], ...]
-    statistics: dict[Statistic, Float[np.ndarray, "..."]]
     functionals: dict[AbstractFunctional, Checked]
+    scope: ExpansionScope
     systems: FreshSystems
+    simulations: Simulations
     factor: int
-    integrator: str
-    departed: str = ""
+    departed: str
+
+    @property
+    def transcribed(self) -> AbstractTranscribed:
+        """The problem's program."""
+        return self.simulations.transcribed
+
+    @property
+    def point(self) -> Float[np.ndarray, " variables"]:
+        """The point of the program."""
+        return self.simulations.point
+
+    @property
+    def integrator(self) -> str:
+        """What simulates on the finer grid."""
+        problem = self.simulations.problem
+        return type(problem.integrator).__name__ if problem.is_integrated else "Simpson's rule"
 
     @property
     def problem(self) -> Problem:
@@ -116,6 +109,17 @@ class Check:
         return self.transcribed.times(self.point)
 
     @cached_property
+    def values(self) -> tuple[Float[np.ndarray, "..."], ...]:
+        """The objective, then the constraints, those of paths at every instant of the finer grid."""
+        return tuple(np.asarray(one.evaluate(self.scope)) for one in self.problem.expressions)
+
+    @cached_property
+    def statistics(self) -> dict[Statistic, Float[np.ndarray, "..."]]:
+        """Each statistic in the expressions, at the instants of the problem's own grid."""
+        every = {one: np.asarray(one.evaluate(self.scope)) for one in statistics_in(self.problem.expressions)}
+        return {one: value[self.own(one)] for one, value in every.items()}
+
+    @cached_property
     def rounding(self) -> dict[AbstractFunctional, float]:
         """The rounding of functionals, by how large they could be, or as far as constraints on them show it."""
         seen = magnitudes_in_limits(self.transcribed, self.point)
@@ -131,70 +135,28 @@ class Check:
         """By how much the objective differs from that at the start."""
         return abs(self.transcribed.at(self.transcribed.program.start).objective - self.meaning.objective)
 
-    def again(self, draws: Iterable[FreshSystems]) -> "list[Check]":
-        """The same with other fresh systems, as many in each draw."""
-        waiting = [self._begin(systems) for systems in draws]
-        return [check() for check in waiting]
-
-    @cached_property
-    def _begin(self) -> "Callable[[FreshSystems], Callable[[], Check]]":
-        return checks_at(self.transcribed, self.point, self.factor)
+    def again(self, draws: Iterable[FreshSystems]) -> "Check":
+        """The same with all systems of some draws in the place of the present ones."""
+        systems = FreshSystems(*map(np.concatenate, zip(*draws, strict=True)))
+        values, matrix = self.simulations.at(systems.points), self.transcribed.basis.matrix(systems.points)
+        functionals = {
+            one: replace(
+                own,
+                fresh=values[one],
+                predicted=np.tensordot(matrix, own.coefficients, axes=1),
+                weights=systems.weights,
+            )
+            for one, own in self.functionals.items()
+        }
+        return replace(self, systems=systems, functionals=functionals)
 
     def at_instants(self, number: int) -> Float[np.ndarray, " some"]:
         """The rows of a constraint at the instants of the problem's own grid, by its program."""
         return self.transcribed.at_instants(self.problem.constraints[number], self.meaning.constraints[number])
 
-    def own(self, functional: AbstractFunctional) -> Any:
+    def own(self, functional: AbstractFunctional | Statistic) -> Any:
         """Where the values of a functional at the instants of the problem's own grid stand among all."""
         return np.s_[:: self.factor] if functional.is_path else ...
-
-
-def _check(
-    problem: Problem,
-    collocation: Collocation,
-    constants: Constants,
-    decisions: Float[Array, " n"],
-    drawn: tuple[Float[Array, "fresh variables"], Float[Array, "systems parts states"] | None],
-) -> tuple[Any, ...]:
-    """Values, and statistics at all instants, as in `Check`; reaches, coefficients and fresh samples of functionals.
-
-    `drawn`: fresh systems, and the states from which parts of the time are simulated.
-    """
-    systems, courses = drawn
-    functionals = functionals_of(problem.expressions)
-    names = dict.fromkeys(name for one in functionals for name in one.outputs)
-    peaks = tuple(Peak((name,)) for name in names)
-    every = tuple(dict.fromkeys((*functionals, *peaks)))
-    points = jnp.concatenate([collocation.points, systems])
-    fit, scenarios = collocation.pseudo_inverse, constants.scenarios
-    samples, terms = simulated(problem, every, points, fit, scenarios, decisions, courses)
-    scope = scope_from(problem, every, terms, constants, decisions)
-    scope.take_together(problem.expressions)
-    values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
-    coefficients = dict(zip(every, terms.coefficients, strict=True))
-    by_functional = dict(zip(every, samples, strict=True))
-    count, grid = len(collocation.points), grid_at(problem, decisions)
-    # Of a typical system: the outermost points, whose weights are next to nothing, may exceed it by any factor.
-    typical = jnp.abs(collocation.weights)
-    highest = {
-        name: jnp.tensordot(typical, by_functional[peak][:count], axes=1)
-        for name, peak in zip(names, peaks, strict=True)
-    }
-    reaches = tuple(jnp.max(one.reach(highest, grid.of(one.place))) for one in functionals)
-    fresh = tuple(by_functional[one][count:] for one in functionals)
-    return values, tuple(scope.taken), reaches, tuple(coefficients[one] for one in functionals), fresh
-
-
-def _use(problem: Problem, collocation: Collocation, *others: Any) -> Use:
-    # Tails by lines have more equations than the steps, and few runs.
-    if divides_steps(problem) or any(isinstance(one.kind, AbstractTail) for one in statistics_in(problem.expressions)):
-        return Use.ONCE
-    systems, _ = others[-1]
-    steps = problem.grid.steps * (len(collocation.points) + len(systems))
-    return Use.BRIEF if steps <= _BRIEF else Use.LOOPS
-
-
-CHECK = Compiled(_check, use=_use)
 
 
 def begin_check(
@@ -211,63 +173,71 @@ def begin_check(
     simulated again by an implicit one. Nor does a simulation from the first instant confirm the answer to an unstable
     one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has.
     """
-    systems = systems_of(transcribed.problem, 0) if systems is None else systems
-    return checks_at(transcribed, point, factor)(systems)
-
-
-def checks_at(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int
-) -> Callable[[FreshSystems], Callable[[], Check]]:
-    """`begin_check` as a function of the fresh systems, for several draws at one point."""
     problem = transcribed.problem
+    systems = systems_of(problem, 0) if systems is None else systems
 
-    @cache
-    def bound(integrator: AbstractIntegrator) -> Bound:
-        return _bound(problem.finer(factor, integrator), transcribed.discretised, transcribed.decisions(point))
-
-    def begun(systems: FreshSystems, integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
-        named = type(integrator).__name__ if problem.is_integrated else "Simpson's rule"
-        courses = _courses(transcribed, point, systems) if departed else None
-        check, drawn = bound(integrator), (systems.points, courses)
-        check.begin(drawn)
-        wait = beside(lambda: check(drawn))
+    def begun(integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
+        simulations = Simulations(transcribed, point, problem.finer(factor, integrator), in_parts=bool(departed))
+        simulated = simulations.begin(systems)
 
         def result() -> Check:
-            values, statistics, *parts = jax.tree.map(np.asarray, wait())
-            predict = transcribed.discretised.basis.matrix(systems.points)
-            functionals = {
-                one: Checked(float(reach), terms, fresh, np.tensordot(predict, terms, axes=1), systems.weights)
-                for one, reach, terms, fresh in zip(functionals_of(problem.expressions), *parts, strict=True)
-            }
-            every = zip(statistics_in(problem.expressions), statistics, strict=True)
-            of_own = {one: value[::factor] if one.functionals[0].is_path else value for one, value in every}
-            return Check(transcribed, point, values, of_own, functionals, systems, factor, named, departed)
+            functionals, scope = _expanded(simulations, systems, *simulated())
+            return Check(functionals, scope, systems, simulations, factor, departed)
 
         return result
 
     reference = problem.integrator.reference()
+    explicit = begun(reference)
 
-    def begin(systems: FreshSystems) -> Callable[[], Check]:
-        explicit = begun(systems, reference)
+    def checked() -> Check:
+        # Asked for next; computed here while the check runs on another core.
+        transcribed.resolve(point)
+        check = explicit()
+        if transcribed.fineness == 1 or not problem.is_integrated:
+            return check
+        if not check.is_finite:
+            check = begun(Rodas5P())()
+        # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
+        has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
+        if not has_parts or not (departed := _departed(check)):
+            return check
+        again = begun(reference, departed)()
+        return again if again.is_finite else begun(Rodas5P(), departed)()
 
-        def checked() -> Check:
-            # Asked for next; computed here while the check runs on another core.
-            transcribed.resolve(point)
-            check = explicit()
-            if transcribed.fineness == 1 or not problem.is_integrated:
-                return check
-            if not check.is_finite:
-                check = begun(systems, Rodas5P())()
-            # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
-            has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
-            if not has_parts or not (departed := _departed(check)):
-                return check
-            again = begun(systems, reference, departed)()
-            return again if again.is_finite else begun(systems, Rodas5P(), departed)()
+    return checked
 
-        return checked
 
-    return begin
+@quietly
+def _expanded(
+    simulations: Simulations, systems: FreshSystems, values: Values, nodes: tuple[np.ndarray, ...]
+) -> tuple[dict[AbstractFunctional, Checked], ExpansionScope]:
+    """Each functional, and the scope of the expressions, from all that `Simulations.begin` gives."""
+    transcribed, problem = simulations.transcribed, simulations.problem
+    collocation, functionals = transcribed.collocation, functionals_of(problem.expressions)
+    count, drawn = len(collocation.points), len(systems.points)
+    decisions = jax_array(transcribed.decisions(simulations.point))
+    terms = Terms(
+        coefficients=tuple(collocation.coefficients(values[one][:count]) for one in functionals),
+        nodes=tuple(collocation.coefficients(one[:count]) for one in nodes),
+        realised=tuple(values[one][count + drawn :] for one in functionals),
+    )
+    # Of a typical system: the outermost points, whose weights are next to nothing, may exceed it by any factor.
+    typical, peaks = np.abs(collocation.weights), {}
+    for name in dict.fromkeys(name for one in functionals for name in one.outputs):
+        history = values[history_of(name)][:count]
+        peaks[name] = np.tensordot(typical, np.maximum(history.max(axis=1), -history.min(axis=1)), axes=1)
+    grid, matrix = grid_at(problem, decisions), transcribed.basis.matrix(systems.points)
+    checked = {
+        one: Checked(
+            reach=float(np.max(one.reach(peaks, grid.of(one.place)))),
+            coefficients=np.asarray(own),
+            fresh=values[one][count : count + drawn].copy(),  # without all the others
+            predicted=np.tensordot(matrix, own, axes=1),
+            weights=systems.weights,
+        )
+        for one, own in zip(functionals, terms.coefficients, strict=True)
+    }
+    return checked, scope_from(problem, functionals, terms, transcribed.constants, decisions)
 
 
 def _departed(check: Check) -> str:
@@ -284,38 +254,6 @@ def _departed(check: Check) -> str:
         if size > 0 and not away <= furthest * size:
             furthest, sentence = away / size, f"{one.text()} departs by {away:.2g}, where its magnitude is {size:.2g}"
     return sentence
-
-
-def _courses(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], systems: FreshSystems
-) -> Float[np.ndarray, "systems steps states"]:
-    """The states of a mesh at the beginning of each step of the grid: at the collocation points, at the fresh systems
-    as their expansions predict them, and at the scenarios.
-    """
-    states, (basis, collocation, _) = transcribed.states_at(point), transcribed.discretised
-    assert states is not None
-    assert isinstance(transcribed.problem.grid, Grid)
-    begins = np.searchsorted(states.fractions(), transcribed.problem.grid.fractions[:-1] - _SAME)
-    rows, count = states.rows()[:, begins], len(collocation.points)
-    fitted = np.tensordot(np.asarray(collocation.pseudo_inverse), rows[:count], axes=1)
-    predicted = np.tensordot(np.asarray(basis.matrix(systems.points)), fitted, axes=1)
-    return np.concatenate([rows[:count], predicted, rows[count:]])
-
-
-def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Callable[[], object]:
-    """Begin to compile what `begin_check` will need, on another core; the function returned completes this."""
-    if not is_checked(problem):
-        return lambda: None
-    finer, start = problem.finer(factor, problem.integrator.reference()), problem.placements.vector("initial")
-    bound, drawn = _bound(finer, discretised, start), (systems_of(problem, 0).points, None)
-    bound.begin(drawn)
-    return lambda: bound.prepare(drawn)
-
-
-def _bound(problem: Problem, discretised: Discretised, decisions: Float[np.ndarray, " n"]) -> Bound:
-    """CHECK of a problem, of fresh systems and the states of `_courses`."""
-    _, collocation, constants = discretised
-    return CHECK.bound(numbers_to_arrays(problem), collocation, constants, jax_array(decisions), packed=False)
 
 
 def magnitudes_in_limits(

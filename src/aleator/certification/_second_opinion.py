@@ -140,7 +140,7 @@ def second_opinion(check: Check) -> SecondOpinion | None:
         return None
 
     def drawn(first: int, last: int) -> list[Check]:
-        return check.again(systems_of(problem, draw) for draw in range(first, last))
+        return [check.again(systems_of(problem, draw) for draw in range(first, last))] if first < last else []
 
     least, most = systems.draws
     # Few systems tell nothing of third and fourth powers.

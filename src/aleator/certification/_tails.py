@@ -176,10 +176,10 @@ def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple
     proposal = tail_proposal(basis, lines, coefficients, tail.chance, lower=tail.kind.tail(tail.value)[1])
     while True:
         draws = range(len(values) // size, -(-max(least, size) // size))
-        for one in check.again(FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws):
-            values = np.concatenate([values, one.functionals[functional].fresh[of]])
-            predicted = np.concatenate([predicted, one.functionals[functional].predicted[of]])
-            weights = np.concatenate([weights, one.systems.weights])
+        own = check.again(FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws)
+        values = np.concatenate([values, own.functionals[functional].fresh[of]])
+        predicted = np.concatenate([predicted, own.functionals[functional].predicted[of]])
+        weights = np.concatenate([weights, own.systems.weights])
         each, share = tail.differences(values, predicted, weights), weights / weights.sum()
         error = float(share @ each)
         uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))

@@ -71,6 +71,7 @@ from aleator.design._response import history as history
 from aleator.design._response import instants_at as instants_at
 from aleator.design._response import refuse_large_histories as refuse_large_histories
 from aleator.design._response import responses as responses
+from aleator.design._response import sample as sample
 from aleator.design._response import sampled as sampled
 from aleator.design._response import step_at as step_at
 from aleator.design._response import taken_from as taken_from

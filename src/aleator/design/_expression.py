@@ -175,7 +175,8 @@ class Composed(AbstractComposite):
 
     @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        return self.rule.of(*(one.evaluate(scope) for one in self.expressions))
+        _, *values = in_library(*(one.evaluate(scope) for one in self.expressions))
+        return self.rule.of(*values)
 
     @override
     def text(self) -> str:

@@ -42,8 +42,8 @@ class AbstractIntegral(AbstractFunctional):
         return self.total(taken.integrals[self], grid)
 
     @override
-    def reach(self, peaks: Mapping[str, Array], grid: Any) -> Array:
-        return self.total(grid.duration * jnp.abs(self.integrand(peaks)), grid)
+    def reach(self, peaks: Mapping[str, Any], grid: Any) -> Any:
+        return self.total(grid.duration * abs(self.integrand(peaks)), grid)
 
 
 @final
@@ -106,7 +106,7 @@ class Work(AbstractIntegral):
     def integrand(self, now: Mapping[str, Array]) -> Array:
         force, rate = (now[name] for name in self.outputs)
         exchanged, s = force * rate, self.smoothing
-        return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
+        return jnp.sqrt(exchanged**2 + s**2) - s if s else abs(exchanged)
 
     @override
     def unit(self, outputs: Mapping[str, str]) -> str:
@@ -181,9 +181,9 @@ class FloquetMultiplier(AbstractFunctional):
         return jnp.max(jnp.abs(jnp.linalg.eigvals(taken.monodromy)))
 
     @override
-    def reach(self, peaks: Mapping[str, Array], grid: AbstractGrid) -> Array:
+    def reach(self, peaks: Mapping[str, Any], grid: AbstractGrid) -> Any:
         del peaks, grid
-        return jnp.ones(())
+        return 1.0
 
     @override
     def refuse_on(self, grid: AbstractGrid) -> None:
@@ -221,8 +221,8 @@ class At(AbstractFunctional):
         return first.outputs[self.output] if self.outputs else first.t
 
     @override
-    def reach(self, peaks: Mapping[str, Array], grid: Any) -> Array:
-        return super().reach(peaks, grid) if self.outputs else jnp.asarray(grid.duration)
+    def reach(self, peaks: Mapping[str, Any], grid: Any) -> Any:
+        return super().reach(peaks, grid) if self.outputs else grid.duration
 
     @override
     def text(self) -> str:

@@ -21,6 +21,7 @@ from aleator.design._equations import declared
 from aleator.design._expression import Constraint, Expression, as_expression
 from aleator.design._functionals import in_phases, limit_in_phases
 from aleator.design._noise import refuse_infinite, with_noise
+from aleator.design._objectives import integrated_paths
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import Value, ordered
 from aleator.design._statistic import Statistic
@@ -138,6 +139,11 @@ class Problem(AbstractProblem):
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":
         """The same problem with so many times as many steps, by another integrator. It is not checked again."""
         return with_simulation(self, self.simulation.finer(factor, integrator))
+
+    def with_tables_looked_up(self) -> "Problem":
+        """The same problem, for programs that simulate it on its grid: see `Simulation.with_tables_looked_up`."""
+        middles = bool(integrated_paths(self.expressions))
+        return with_simulation(self, self.simulation.with_tables_looked_up(middles=middles))
 
     def narrower(self) -> "Problem | None":
         """The same problem with half the widths of `al.smooth`; None without any. It is not checked again."""

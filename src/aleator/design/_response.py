@@ -169,13 +169,33 @@ def responses(
 
 
 class Sampled(NamedTuple):
-    """The response of a family of realisations: arrays whose first axis is the germ points.
+    """The response of one realisation or, with a further axis of germ points, of a family of them.
 
     - `values`: of each functional; `nodes`: of each of some paths, at the instants and at the midpoints of steps.
     """
 
-    values: tuple[Float[Array, "points ..."], ...]
-    nodes: tuple[Float[Array, "points nodes ..."], ...]
+    values: tuple[Float[Any, "..."], ...]
+    nodes: tuple[Float[Any, "..."], ...]
+
+
+def sample(
+    problem: AbstractProblem,
+    functionals: tuple[AbstractFunctional, ...],
+    paths: tuple[AbstractFunctional, ...],
+    germ: Float[Array, " variables"],
+    decisions: Float[Array, " n"],
+    course: Float[Array, "parts states"] | None = None,
+) -> Sampled:
+    """Functionals of one realisation; those in `paths` at the midpoints of steps too.
+
+    - `course`: the states from which parts of the time are simulated, see `Asked.course`.
+    """
+    asked = asked_for(functionals)._replace(nodes=_outputs(paths), course=course)
+    record = realise(problem.simulation, germ, decisions).record(asked)
+    return Sampled(
+        numbers_of(functionals, taken_from(record, functionals), record.grid),
+        numbers_of(paths, Taken(record.nodes, {}), record.grid),
+    )
 
 
 def sampled(
@@ -184,24 +204,9 @@ def sampled(
     paths: tuple[AbstractFunctional, ...],
     germ: Float[Array, "points variables"],
     decisions: Float[Array, " n"],
-    courses: Float[Array, "points parts states"] | None = None,
 ) -> Sampled:
-    """Functionals at each germ point; those in `paths` at the midpoints of steps too.
-
-    - `courses`: the states from which parts of the time are simulated, see `Asked.course`.
-    """
-    asked = asked_for(functionals)._replace(nodes=_outputs(paths))
-
-    def one(point: Float[Array, " variables"], course: Float[Array, "parts states"] | None) -> Sampled:
-        realised = realise(problem.simulation, point, decisions)
-        record = realised.record(asked._replace(course=course))
-        between = Taken(record.nodes, {})
-        return Sampled(
-            numbers_of(functionals, taken_from(record, functionals), record.grid),
-            numbers_of(paths, between, record.grid),
-        )
-
-    return jax.vmap(one)(germ, courses)
+    """Functionals at each germ point, the first axis; those in `paths` at the midpoints of steps too."""
+    return jax.vmap(lambda point: sample(problem, functionals, paths, point, decisions))(germ)
 
 
 def asked_for(functionals: tuple[AbstractFunctional, ...]) -> Asked:

@@ -12,9 +12,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library
 from aleator._core.border import traceable
+from aleator._core.compilation import Use, evaluate_traced
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import Module
+from aleator._core.identity import traced_once
+from aleator._core.leaves import Module, is_traced
 from aleator.dynamics import returned
 from aleator.statistics import EXPONENTS, PURE, common, product, quotient, raised, root
 
@@ -140,8 +143,9 @@ class Norm(AbstractRounded):
 
     @override
     def of(self, *values: Array) -> Array:
-        s = self.smoothing
-        return root(sum((one**2 for one in values), start=jnp.asarray(s**2))) - s
+        first, *others = (one**2 for one in values)
+        _, size = in_library(root(sum(others, start=first + self.smoothing**2)))
+        return size - self.smoothing
 
     @override
     def sharp(self, *texts: str) -> str:
@@ -161,7 +165,8 @@ class Extremum(AbstractRounded):
 
     @override
     def of(self, *values: Array) -> Array:
-        every = self.side * jnp.stack(jnp.broadcast_arrays(*values))
+        library, values = in_library(values)
+        every = self.side * library.stack(library.broadcast_arrays(*values))
         if not self.smoothing:
             return self.side * every.max(axis=0)
         return self.side * self.smoothing * jax.nn.logsumexp(every / self.smoothing, axis=0)
@@ -183,8 +188,11 @@ class PositivePart(AbstractRounded):
 
     @override
     def of(self, *values: Array) -> Array:
-        (one,) = values
-        return (one + root(one**2 + self.smoothing**2)) / 2 if self.smoothing else jnp.maximum(one, 0.0)
+        library, one = in_library(*values)
+        if not self.smoothing:
+            return library.maximum(one, 0.0)
+        _, size = in_library(root(one**2 + self.smoothing**2))
+        return (one + size) / 2
 
     @override
     def sharp(self, *texts: str) -> str:
@@ -202,7 +210,11 @@ class Own(AbstractRule):
 
     @override
     def of(self, *values: Array) -> Array:
-        return jnp.vectorize(self._of_numbers)(*values)
+        # Of known numbers as one program: JAX would compile each operation by itself.
+        each = jnp.vectorize(self._of_numbers)
+        if is_traced(values):
+            return each(*values)
+        return evaluate_traced(traced_once(self, each, *values), *values, use=Use.BRIEF)
 
     def _of_numbers(self, *numbers: Array) -> Array:
         who = f"The function '{self._name}'"

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library
 from aleator._core.border import one_of, real, refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, Range
@@ -128,7 +129,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def evaluate(self, taken: "Taken", grid: AbstractGrid) -> Float[Array, "..."]:
         """The quantity on one realisation: a number, or for `path` one number per instant."""
 
-    def reach(self, peaks: Mapping[str, Array], grid: AbstractGrid) -> Float[Array, "..."]:
+    def reach(self, peaks: Mapping[str, Any], grid: AbstractGrid) -> Float[Any, "..."]:
         """The magnitude, if its outputs were at their peaks all the time: `peaks` are the means of these.
 
         It is the scale for quantities that happen to be small, such as the speed at the end of a motion.
@@ -304,9 +305,12 @@ def _joint(kind: AbstractStatistic, *functionals: Any) -> Expression:
     return statistic(kind, *(one_of(what, one, AbstractFunctional, "al.rms('x')") for one in functionals))
 
 
-def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
+def joined(values: Sequence[Float[Any, "..."]]) -> Float[Any, "..."]:
     """The argument of a statistic: the values of one functional, or of several along a new last axis."""
-    return values[0] if len(values) == 1 else jnp.stack(values, axis=-1)
+    if len(values) == 1:
+        return values[0]
+    library, values = in_library(values)
+    return library.stack(values, axis=-1)
 
 
 def path_of(limit: Constraint | AbstractFunctional) -> str:

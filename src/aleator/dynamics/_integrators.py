@@ -100,6 +100,14 @@ class AbstractIntegrator(Module):
         del system, grid, inputs, one, t
         return ""
 
+    def nodes(self, *, middles: bool) -> tuple[float, ...]:
+        """The fractions of each step of a grid at which it sees signals; none if it chooses the times itself.
+
+        - `middles`: whether outputs are recorded at the middles too.
+        """
+        del middles
+        return ()
+
     def refined(self) -> "AbstractIntegrator":
         """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""
         return self
@@ -112,6 +120,10 @@ class AbstractFixedStep(AbstractIntegrator):
     """
 
     tableau: ClassVar[Tableau]
+
+    @override
+    def nodes(self, *, middles: bool) -> tuple[float, ...]:
+        return tuple(sorted({0.0, 1.0, *self.tableau.nodes, *([0.5] if middles else [])}))
 
     @override
     def step(self, rates: Rates, begin: Any, share: Any, vector: Vector, sizes: Sizes, pace: Pace | None) -> Step:
@@ -139,7 +151,7 @@ class AbstractFixedStep(AbstractIntegrator):
     def _taken(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> tuple[Record, Any]:
         """The record of all steps, divided by jumps, and where the instants are among their beginnings."""
         nodes, couplings, weights, *_ = self.tableau
-        inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
+        inner = self.nodes(middles=bool(asked.nodes))[1:-1]
         steps, places = steps_of(grid, inputs, inner)
         t_start, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
         start = initial_state(system, t_start, now)

@@ -28,8 +28,9 @@ from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_si
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._phases import LinkedSystems, Phases, asked_within, joined, phase_of, within
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, History, Occurrence, Record, chosen, observed
+from aleator.dynamics._steps import LookedUp
 from aleator.dynamics._system import AbstractSystem, End, System, check_variables, refuse_unrealised
-from aleator.trajectories import AbstractSignal, least_steps
+from aleator.trajectories import AbstractSignal, Tabulated, least_steps
 
 
 @final
@@ -39,7 +40,8 @@ class Simulation(AbstractPlanned):
 
     Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of
     systems told apart. `numbers`, by name, are in no system: what is made of its outputs may depend on them. `begun`:
-    the states, side by side, with which it begins; None for those that its equations tell.
+    the states, side by side, with which it begins; None for those that its equations tell. `looked_up`: see
+    `with_tables_looked_up`.
     """
 
     system: AbstractSystem
@@ -49,6 +51,7 @@ class Simulation(AbstractPlanned):
     numbers: dict[str, Any] = eqx.field(default_factory=dict)
     equations: Equations | None = eqx.field(static=True, default=None)
     begun: Float[Array, " states"] | None = None
+    looked_up: dict[str, LookedUp] = eqx.field(default_factory=dict)
 
     @override
     def beside(self, means: Callable[[], Any]) -> "Simulation":
@@ -127,7 +130,7 @@ class Simulation(AbstractPlanned):
         if not system.states:
             return observed(system, grid, inputs, asked)._replace(grid=grid)
         if grid.until is None and not grid.periodic:
-            return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
+            return self.integrator.record(system, grid, inputs | self.looked_up, asked)._replace(grid=grid)
         if grid.periodic and self.equations is None:
             return self.declared().record(asked)
         if grid.until is None or grid.until not in asked.events:
@@ -312,13 +315,25 @@ class Simulation(AbstractPlanned):
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
         """The same simulation on another grid, by another integrator if one is given."""
-        return replace(self, grid=grid, integrator=integrator or self.integrator)
+        return replace(self, grid=grid, integrator=integrator or self.integrator, looked_up={})
 
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Simulation":
         """The same on a grid with more steps, by another integrator, as is what is simulated inside the model."""
         equations = self.equations
         inside = equations if equations is None or equations.finer is None else equations.finer
         return replace(self.on(self.grid.finer(factor), integrator), equations=inside)
+
+    def with_tables_looked_up(self, *, middles: bool) -> "Simulation":
+        """The same with the tables among its inputs looked up for all steps, if nothing in them or in the grid is
+        uncertain or decided: a search of a table in each program takes as long to compile as many equations.
+
+        - `middles`: whether outputs are recorded at the middles of steps too.
+        """
+        grid, nodes = self.grid, self.integrator.nodes(middles=middles)
+        if not (isinstance(grid, Grid) and isinstance(grid.t_final, float) and grid.until is None and nodes):
+            return self
+        tables = {name: one for name, one in self.inputs.items() if isinstance(one, Tabulated) and one.is_plain}
+        return replace(self, looked_up={name: LookedUp.on(grid, one, nodes) for name, one in tables.items()})
 
     def narrower(self) -> "Simulation | None":
         """The same with half the widths of `al.smooth`; None without any."""

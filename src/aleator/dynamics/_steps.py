@@ -1,16 +1,18 @@
 """The steps of a grid, each with the signals on its own side of every jump; and what takes them."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import override
 
 from aleator.dynamics._grid import Grid, Inputs, sampled
 from aleator.dynamics._system import System
-from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, on_pieces, piecewise_in
+from aleator.trajectories import AbstractSignal, before_jumps, has_jumps, instants, jumping_in, on_pieces, piecewise_in
 
 Vector = Float[Array, " n"]
 Rates = Callable[[Any, Vector], Vector]
@@ -111,6 +113,43 @@ def steps_of(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps,
     return _whole(grid, inputs, inner), np.arange(grid.steps + 1)
 
 
+def _places(grid: Grid, nodes: Sequence[float]) -> list[Float[np.ndarray, " instants"]]:
+    """Some fractions of each step as fractions of the time."""
+    lengths = np.diff(grid.fractions, append=1.0)
+    return [grid.fractions + node * lengths for node in nodes]
+
+
+@final
+class LookedUp(AbstractSignal):
+    """A signal of which the values at some fractions of each step of a grid are known, `rows` of each."""
+
+    signal: AbstractSignal
+    nodes: tuple[float, ...] = eqx.field(static=True)
+    rows: tuple[Float[Array, "instants ..."], ...]
+
+    @classmethod
+    def on(cls, grid: Grid, signal: AbstractSignal, nodes: tuple[float, ...]) -> "LookedUp":
+        """That of a grid with known numbers."""
+        each = _places(grid, nodes)
+        return cls(signal, nodes, tuple(signal.sampled(one, grid.t_start, grid.t_final) for one in each))
+
+    def fits(self, grid: Grid, nodes: tuple[float, ...]) -> bool:
+        """Whether its values are those that are needed; parts of a grid have other steps."""
+        return self.nodes == nodes and len(self.rows[0]) == grid.steps + 1
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        return self.signal(t)
+
+    @override
+    def over(self, t_start: Any, t_final: Any) -> AbstractSignal:
+        return self.signal.over(t_start, t_final)
+
+    @override
+    def sampled(self, fractions: Any, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        return self.signal.sampled(fractions, t_start, t_final)
+
+
 def is_divided(grid: Grid, inputs: Inputs) -> bool:
     """Whether steps are divided at times that follow from the numbers."""
     return bool(jumping_in(inputs)) or (grid.until is not None and bool(piecewise_in(inputs)))
@@ -118,13 +157,14 @@ def is_divided(grid: Grid, inputs: Inputs) -> bool:
 
 def _whole(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> Steps:
     """The steps of a grid that ends one at each jump."""
-    # A table or a spline is looked up once for all stages.
     count, lengths = grid.steps + 1, np.diff(grid.fractions, append=1.0)
-    every = [grid.fractions + node * lengths for node in (0.0, *inner, 1.0)]
-    looked_up = sampled(inputs, grid, np.concatenate(every))
-    first, *between, last = (
-        {name: values[i * count : (i + 1) * count] for name, values in looked_up.items()} for i in range(len(every))
-    )
+    nodes = 0.0, *inner, 1.0
+    every = _places(grid, nodes)
+    # A table or a spline is looked up once for all stages, if it has not been.
+    known = {name: one.rows for name, one in inputs.items() if isinstance(one, LookedUp) and one.fits(grid, nodes)}
+    others = sampled({name: one for name, one in inputs.items() if name not in known}, grid, np.concatenate(every))
+    known |= {name: [rows[i * count : (i + 1) * count] for i in range(len(every))] for name, rows in others.items()}
+    first, *between, last = ({name: known[name][i] for name in inputs} for i in range(len(every)))
     if has_jumps(inputs):
         last = sampled(before_jumps(inputs), grid, every[-1])
     h = jnp.asarray(grid.step * (lengths > 0))

@@ -44,7 +44,7 @@ class Collocation(Module):
     condition_number: Float[Array, ""]
 
     @quietly
-    def coefficients(self, samples: Float[Array, "points *shape"]) -> Float[Array, "terms *shape"]:
+    def coefficients(self, samples: Float[Any, "points *shape"]) -> Float[Array, "terms *shape"]:
         """Coefficients `rho = A# P` of samples of any shape, such as time histories (equations 29 and 47)."""
         library, inverse, known = in_library(self.pseudo_inverse, samples)
         return jax_array(library.tensordot(inverse, known, axes=1))

@@ -258,14 +258,16 @@ class CoefficientProduct(AbstractStatistic):
     """
 
     symbol: ClassVar[str] = "Σ|·|"
+    needs_no_compiler: ClassVar[bool] = True
     smoothing: float = eqx.field(static=True, default=0.0)
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
+        library, coefficients = in_library(coefficients)
         first, second = _both(coefficients)
         products, s = first * second, self.smoothing
-        return jnp.sum(jnp.sqrt(products**2 + s**2) - s if s else jnp.abs(products), axis=0)
+        return jax_array(library.sum(library.sqrt(products**2 + s**2) - s if s else library.abs(products), axis=0))
 
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
         """NaN, because no sample estimates it."""

@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
+from aleator._core.arrays import jax_array
 from aleator._core.border import content_of, real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import realised_shape, stored_numbers
-from aleator.trajectories._signals import AbstractSignal, as_array
+from aleator._core.leaves import is_traced, realised_shape, stored_numbers
+from aleator.trajectories._signals import AbstractSignal, Fractions, as_array, instants
 
 Tree = TypeVar("Tree")
 
@@ -206,6 +207,18 @@ class Tabulated(AbstractJumping):
         # Constant outside; `jnp.clip` would halve derivatives at both ends.
         inside = low + (t - left) / (right - left) * (high - low)
         return jnp.where(t < self.times[0], low, jnp.where(t > self.times[-1], high, inside))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing in it is uncertain or decided, and it does not jump: NumPy looks it up."""
+        return isinstance(self.values, np.ndarray) and self.pieces == 1
+
+    @override
+    def sampled(self, fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        times = instants(fractions, t_start, t_final)
+        if not self.is_plain or is_traced(times):
+            return super().sampled(fractions, t_start, t_final)
+        return jax_array(np.interp(times, self.times, self.values))
 
     @override
     def span(self) -> tuple[float, float]:

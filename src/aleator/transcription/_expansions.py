@@ -1,7 +1,8 @@
 """The expansions of a problem: the statistics that follow from their coefficients, and how well they are resolved."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeAlias, final
 
 import jax
@@ -10,8 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array
+from aleator._core.arrays import in_library, jax_array, quietly
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_traced
 from aleator.design import (
     AbstractFunctional,
     AbstractScope,
@@ -47,17 +50,19 @@ _FEW = 4
 class ExpansionScope(AbstractScope):
     """Takes every statistic from the coefficients of expansions.
 
-    - `coefficients`: of each functional; `numbers`: those of the model, by name;
+    - `coefficients`: of each functional; `numbers`: gives those of the model, by name;
     - `between`: the terms for integrals over time; `totals`: their values where these are known, in the order of
       evaluation;
     - `scenarios`: each functional on the realisations at which limits on the worst case are imposed;
     - `known`: statistics that are known, by the identity of their kinds, because the numbers in these are traced;
     - `taken`: the statistics taken so far, in that order.
+
+    Of known coefficients NumPy takes what it can, and each other statistic is a program by itself.
     """
 
     coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]]
     constants: Constants
-    numbers: Mapping[str, Any]
+    numbers: Callable[[], Mapping[str, Any]]
     between: "Between | None" = None
     scenarios: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = field(default_factory=dict)
     totals: Iterator[Float[Array, ""]] | None = None
@@ -67,14 +72,14 @@ class ExpansionScope(AbstractScope):
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
         blocks, taken = [], []
-        self.take_together(expressions)
+        self._take_together(expressions)
         for one in expressions:
             before = len(self.taken)
             blocks.append(jnp.ravel(one.evaluate(self)))
             taken.append(tuple(self.taken[before:]))
         return tuple(blocks), tuple(taken)
 
-    def take_together(self, expressions: tuple[Expression, ...]) -> None:
+    def _take_together(self, expressions: tuple[Expression, ...]) -> None:
         """Take those statistics of expressions now that share a loop, for where they are evaluated, or an equation."""
         every = (atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic))
         atoms = [atom for atom in every if _which(atom) not in self.known]
@@ -94,13 +99,16 @@ class ExpansionScope(AbstractScope):
             for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
                 self.known |= {_which(atom): own for atom in some}
 
-    def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
+    def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Any, "terms ..."]:
         return joined([self.coefficients[one] for one in functionals])
 
     @override
+    @quietly
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        terms, result = self._terms(functionals), self.known.get((functionals, id(kind)))
-        result = jnp.asarray(kind.of(terms, self.constants.of(kind)) if result is None else result)
+        terms, key = self._terms(functionals), (functionals, id(kind))
+        if key not in self.known:
+            self.known[key] = jax_array(_taken(kind, terms, self.constants.of(kind)))
+        result = self.known[key]
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
         if result.shape != expected:
@@ -118,18 +126,30 @@ class ExpansionScope(AbstractScope):
         assert self.between is not None
         nodes, weights = self.between
         inner = ExpansionScope({**self.coefficients, **nodes}, self.constants, self.numbers)
-        integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
+        library, *both = in_library(weights, expression.evaluate(inner))
+        integral = jax_array(library.tensordot(*both, axes=1))
         # Statistics are recorded at the instants alone.
-        self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
+        self.taken += [one if one.ndim == 0 else one[::2] for one in in_library(*inner.taken)[1:]]
         return integral
 
     @override
-    def realised(self, functional: AbstractFunctional) -> Float[Array, "... scenarios"]:
-        return jnp.moveaxis(self.scenarios[functional], 0, -1)
+    def realised(self, functional: AbstractFunctional) -> Float[Any, "... scenarios"]:
+        library, values = in_library(self.scenarios[functional])
+        return library.moveaxis(values, 0, -1)
 
     @override
     def value(self, name: str) -> Float[Array, ""]:
-        return self.numbers[name]
+        return self.numbers()[name]
+
+
+def _taken(kind: AbstractStatistic, terms: Float[Any, "terms ..."], constants: Any) -> Float[Any, "..."]:
+    if kind.needs_no_compiler or is_traced((kind, terms, constants)):
+        return kind.of(terms, constants)
+    return evaluate(_of, kind, jax_array(terms), constants, use=Use.ONCE)
+
+
+def _of(kind: AbstractStatistic, terms: Float[Array, "terms ..."], constants: Any) -> Float[Array, "..."]:
+    return kind.of(terms, constants)
 
 
 _Which: TypeAlias = tuple[tuple[AbstractFunctional, ...], int]
@@ -164,9 +184,9 @@ class Terms(NamedTuple):
     - `tails`: the statistics of `tails_in`, where these are known.
     """
 
-    coefficients: tuple[Float[Array, "terms ..."], ...]
-    nodes: tuple[Float[Array, "terms nodes ..."], ...]
-    realised: tuple[Float[Array, "scenarios ..."], ...]
+    coefficients: tuple[Float[Any, "terms ..."], ...]
+    nodes: tuple[Float[Any, "terms nodes ..."], ...]
+    realised: tuple[Float[Any, "scenarios ..."], ...]
     tails: tuple[Float[Array, "..."], ...] = ()
 
 
@@ -191,24 +211,21 @@ def simulated(
     problem: Problem,
     functionals: tuple[AbstractFunctional, ...],
     points: Float[Array, "points variables"],
-    fit: Float[Array, "terms fitted"],
+    fit: Float[Array, "terms points"],
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
-    courses: Float[Array, "systems parts states"] | None = None,
 ) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
-    """Functionals at some points, and the contribution of the collocation points among these to the coefficients.
+    """Functionals at some collocation points, and their contribution to the coefficients.
 
-    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the first points; others have none;
-    - `courses`: the states from which parts of the time are simulated, of the points, then of the scenarios.
+    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to these points.
     """
     if not functionals:
         return (), Terms((), (), ())
     count, every = len(points), points if scenarios is None else jnp.concatenate([points, scenarios])
-    paths, fitted = _integrated(problem, functionals), fit.shape[1]
-    sampling = sampled(problem, functionals, paths, every, decisions, courses)
+    sampling = sampled(problem, functionals, _integrated(problem, functionals), every, decisions)
     return tuple(values[:count] for values in sampling.values), Terms(
-        coefficients=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.values),
-        nodes=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.nodes),
+        coefficients=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in sampling.values),
+        nodes=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in sampling.nodes),
         realised=() if scenarios is None else tuple(values[count:] for values in sampling.values),
     )
 
@@ -221,12 +238,12 @@ def scope_from(
     decisions: Float[Array, " n"],
 ) -> ExpansionScope:
     """The scope of expressions whose functionals have been simulated."""
-    paths, grid = _integrated(problem, functionals), grid_at(problem, decisions)
-    nodes = dict(zip(paths, terms.nodes, strict=True))
+    nodes = dict(zip(_integrated(problem, functionals), terms.nodes, strict=True))
+    grid = grid_at(problem, decisions) if nodes else None
     return ExpansionScope(
         dict(zip(functionals, terms.coefficients, strict=True)),
         constants,
-        named_numbers(problem.simulation, decisions),
+        cache(partial(named_numbers, problem.simulation, decisions)),
         Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None,
         dict(zip(functionals, terms.realised, strict=False)),
         known=dict(zip(map(_which, tails_in(problem.expressions)), terms.tails, strict=False)),

@@ -7,6 +7,7 @@ instant, and multiplied by the derivatives of the numbers by the decisions, whic
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -87,7 +88,7 @@ def instantaneous_rows(
         """All expressions at one instant, from the numbers known there and the decisions in the model itself."""
         samples, coefficients = instant.expanded(collocation, anchors, numbers)
         realised = instant.realised(held, constants.scenarios, numbers)
-        named = named_numbers(problem.simulation, decisions)
+        named = cache(partial(named_numbers, problem.simulation, decisions))
         scope = ExpansionScope(coefficients, constants, named, scenarios=realised)
         blocks, taken = scope.evaluated(expressions)
         sizes[:] = [one.size for one in blocks]

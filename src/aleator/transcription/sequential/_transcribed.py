@@ -176,7 +176,7 @@ class Sequential(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
-        discretisation, traced = discretised(problem), numbers_to_arrays(problem)
+        discretisation, traced = discretised(problem), numbers_to_arrays(problem.with_tables_looked_up())
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
         discretisation = discretisation.at_scenarios(scenarios)
         start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))

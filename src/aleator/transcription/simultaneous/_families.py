@@ -1,7 +1,7 @@
 """A problem's equations as families of blocks: signals, initial states, rates, records, and its expressions."""
 
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -301,7 +301,7 @@ def _expression(
     own: Array,
 ) -> Float[Array, " rows"]:
     decisions, totals, others = jnp.split(shared, np.cumsum(sizes))
-    numbers = named_numbers(problem.simulation, decisions) if decisions.size else {}
+    numbers = cache(partial(named_numbers, problem.simulation, decisions))
     pairs = [*_taken(parts[0], others), *_taken(parts[1], own)]
     coefficients = {one.functional: values for one, values in pairs if one.is_expanded}
     realised = {one.functional: values for one, values in pairs if not one.is_expanded}

@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple, final
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     AbstractFunctional,
     Problem,
@@ -30,7 +28,7 @@ from aleator.dynamics import AbstractCollocation, named
 from aleator.ensemble import inputs_at, listed
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
-from aleator.statistics import Constants
+from aleator.statistics import Mean
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered
 from aleator.transcription._discretised import Discretised
 from aleator.transcription._expansions import ExpansionScope
@@ -68,17 +66,6 @@ _FINER = 2
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
 # A realisation that lasts for a smaller part of the latest time has not left its start.
 _SHORTEST = 1e-6
-
-
-def _taken(problem: Problem, constants: Constants, coefficients: list[jax.Array]) -> tuple[jax.Array, ...]:
-    """Every statistic that stands in a problem, from the coefficients of its expansions."""
-    each = zip(expanded_functionals(problem.expressions), coefficients, strict=True)
-    scope = ExpansionScope(dict(each), constants, {})
-    scope.take_together(problem.expressions)
-    return tuple(scope.statistic(one.functionals, one.kind) for one in statistics_in(problem.expressions))
-
-
-TAKEN = Compiled(_taken, use=Use.ONCE)
 
 
 class Recipe(NamedTuple):
@@ -166,11 +153,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         count, expressions = len(self.collocation.points), self.problem.expressions
         sizes = self._sizes(point)
         samples = {one: self._apart(values, numbers[one], sizes) for one, values in every.items()}
-        fitted = [
-            self.collocation.coefficients(jax_array(samples[one][:count])) for one in expanded_functionals(expressions)
-        ]
-        known = all(one.kind.needs_no_compiler for one in statistics_in(expressions))
-        taken = (_taken if known else TAKEN)(self.traced, self.constants, fitted)
+        fitted = {one: self.collocation.coefficients(samples[one][:count]) for one in expanded_functionals(expressions)}
+        scope = ExpansionScope(fitted, self.constants, dict)
         functionals = functionals_of(expressions)
         return Meaning(
             decisions=variables.decisions.copy(),
@@ -178,7 +162,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             constraints=[evaluation.constraints[one] for one in self.rows],
             samples=tuple(samples[one][:count] for one in functionals),
             tangents=(None,) * len(functionals),
-            statistics=tuple(np.asarray(one) for one in taken),
+            statistics=tuple(np.asarray(one.evaluate(scope)) for one in statistics_in(expressions)),
         )
 
     @override
