@@ -5,7 +5,7 @@ with an integrator of another order. The finer grid has an odd prime number of t
 are in no phase with those of the problem's: what is constant at these, such as a ripple of their period, shows there.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, final
@@ -154,7 +154,7 @@ def _check(
     collocation: Collocation,
     constants: Constants,
     decisions: Float[Array, " n"],
-    drawn: tuple[Float[Array, "fresh variables"], Float[Array, "systems parts states"] | None],
+    drawn: tuple[Float[Array, "fresh variables"], Mapping[str, Float[Array, "systems parts states"]] | None],
 ) -> tuple[Any, ...]:
     """Values, and statistics at all instants, as in `Check`; reaches, coefficients and fresh samples of functionals.
 
@@ -209,7 +209,8 @@ def begin_check(
 
     Where states are variables, a stiff model has an answer that no explicit method confirms: what is not finite is
     simulated again by an implicit one. Nor does a simulation from the first instant confirm the answer to an unstable
-    one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has.
+    one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has,
+    or a phase that an event ends, as a whole.
     """
     systems = systems_of(transcribed.problem, 0) if systems is None else systems
     return checks_at(transcribed, point, factor)(systems)
@@ -258,9 +259,9 @@ def checks_at(
                 return check
             if not check.is_finite:
                 check = begun(systems, Rodas5P())()
-            # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
-            has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
-            if not has_parts or not (departed := _departed(check)):
+            # A time that is sought has no parts that could be simulated each by itself.
+            is_sought = isinstance(problem.grid, Grid) and problem.grid.until is not None
+            if is_sought or not (departed := _departed(check)):
                 return check
             again = begun(systems, reference, departed)()
             return again if again.is_finite else begun(systems, Rodas5P(), departed)()
@@ -288,18 +289,25 @@ def _departed(check: Check) -> str:
 
 def _courses(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], systems: FreshSystems
-) -> Float[np.ndarray, "systems steps states"]:
-    """The states of a mesh at the beginning of each step of the grid: at the collocation points, at the fresh systems
-    as their expansions predict them, and at the scenarios.
+) -> dict[str, Float[np.ndarray, "systems steps states"]]:
+    """By phase, the states of a mesh at the beginning of each step of its grid, or of the phase if an event ends it: at
+    the collocation points, at the fresh systems as their expansions predict them, and at the scenarios.
     """
-    states, (basis, collocation, _) = transcribed.states_at(point), transcribed.discretised
+    states, grid, (basis, collocation, _) = (
+        transcribed.states_at(point),
+        transcribed.problem.grid,
+        transcribed.discretised,
+    )
     assert states is not None
-    assert isinstance(transcribed.problem.grid, Grid)
-    begins = np.searchsorted(states.fractions(), transcribed.problem.grid.fractions[:-1] - _SAME)
-    rows, count = states.rows()[:, begins], len(collocation.points)
-    fitted = np.tensordot(np.asarray(collocation.pseudo_inverse), rows[:count], axes=1)
-    predicted = np.tensordot(np.asarray(basis.matrix(systems.points)), fitted, axes=1)
-    return np.concatenate([rows[:count], predicted, rows[count:]])
+    predict, count, courses = np.asarray(basis.matrix(systems.points)), len(collocation.points), {}
+    for phase in states.phases or ("",):
+        own = grid.of(f"{phase}.")
+        assert isinstance(own, Grid)
+        steps = own.fractions[: 1 if own.until is not None else -1]
+        rows = states.rows(phase)[:, np.searchsorted(states.fractions(phase), steps - _SAME)]
+        fitted = np.tensordot(np.asarray(collocation.pseudo_inverse), rows[:count], axes=1)
+        courses[phase] = np.concatenate([rows[:count], np.tensordot(predict, fitted, axes=1), rows[count:]])
+    return courses
 
 
 def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Callable[[], object]:

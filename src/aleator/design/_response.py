@@ -184,17 +184,17 @@ def sampled(
     paths: tuple[AbstractFunctional, ...],
     germ: Float[Array, "points variables"],
     decisions: Float[Array, " n"],
-    courses: Float[Array, "points parts states"] | None = None,
+    courses: Mapping[str, Float[Array, "points parts states"]] | None = None,
 ) -> Sampled:
     """Functionals at each germ point; those in `paths` at the midpoints of steps too.
 
-    - `courses`: the states from which parts of the time are simulated, see `Asked.course`.
+    - `courses`: the states from which parts of the time are simulated, see `Asked.courses`.
     """
     asked = asked_for(functionals)._replace(nodes=_outputs(paths))
 
-    def one(point: Float[Array, " variables"], course: Float[Array, "parts states"] | None) -> Sampled:
+    def one(point: Float[Array, " variables"], courses: Mapping[str, Float[Array, "parts states"]] | None) -> Sampled:
         realised = realise(problem.simulation, point, decisions)
-        record = realised.record(asked._replace(course=course))
+        record = realised.record(asked._replace(courses=courses))
         between = Taken(record.nodes, {})
         return Sampled(
             numbers_of(functionals, taken_from(record, functionals), record.grid),

@@ -178,7 +178,7 @@ def simulated(
     fit: Float[Array, "terms fitted"],
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
-    courses: Float[Array, "systems parts states"] | None = None,
+    courses: Mapping[str, Float[Array, "systems parts states"]] | None = None,
 ) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
     """Functionals at some points, and the contribution of the collocation points among these to the coefficients.
 
