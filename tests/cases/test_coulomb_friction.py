@@ -3,6 +3,8 @@
 The ways are closed forms: `v² / (2 mu g)` to rest, and halves of constant acceleration. After opty's gallery.
 """
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -114,3 +116,41 @@ def test_a_block_sticks_until_a_growing_force_pulls_it_loose():
     # In proportion to the width.
     assert errors[2] < 1e-3
     assert errors[1] / errors[2] == pytest.approx(10, rel=0.3)
+
+
+class Ramped(al.System):
+    """A block that is pulled by a force which grows, in one of three ways: it slides, sticks, or is pulled loose."""
+
+    states = ("v", "clock")
+    ramp: al.Number
+    friction: float
+    moves: float = 1.0
+    events: ClassVar = {
+        "rest": al.Event(lambda self, t, z: z.v, direction=-1),
+        "loose": al.Event(lambda self, t, z: self.ramp * z.clock - self.friction),
+        "end": al.Event(lambda self, t, z: z.clock - 2.0),
+    }
+
+    def initial(self):
+        return {"v": SPEED}
+
+    def rhs(self, t, z):
+        return self.moves * (self.ramp * z.clock - self.friction), 1.0
+
+    def outputs(self, t, z):
+        return {"v": z.v}
+
+
+@pytest.mark.slow
+def test_phases_that_end_where_it_stops_and_where_it_leaves_are_exact():
+    ramp, slope = al.Decision(4.5, 4.0 - 0.4, 5.0).shared("ramp"), 4.0
+    grids = {name: al.Grid(until=name, at_most=2.0, steps=4) for name in ("rest", "loose", "end")}
+    motion = al.Phases(
+        sliding=al.Phase(Ramped(ramp, 0.6 * G), grids["rest"]),
+        stuck=al.Phase(Ramped(ramp, 0.6 * G, 0.0), grids["loose"]),
+        pulled=al.Phase(Ramped(ramp, 0.6 * G), grids["end"]),
+    )
+    limit = al.terminal("v").mean >= slope * (2.0 - 0.6 * G / slope) ** 2 / 2
+    found = al.solve(al.Problem(motion, minimize=al.value("ramp"), subject_to=[limit]))
+    assert found.ok, found
+    assert found.objective == pytest.approx(slope, abs=1e-7)

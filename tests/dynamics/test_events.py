@@ -109,6 +109,13 @@ def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
     assert float(found.std) == pytest.approx(np.sqrt(np.sum(weight * (values - mean) ** 2)), rel=1e-8)
 
 
+def test_the_probability_to_land_beyond_a_distance_is_that_of_the_speed_that_reaches_it():
+    speed = al.Uniform(20.0, half_width=1.0)
+    found = al.expand(lambda at: al.simulate(Shot(at["speed"], 0.7, 1.0), LANDED)["x"][-1], {"speed": speed})
+    slowest = scipy.optimize.brentq(lambda v: float(landing(v, 0.7, 1.0)[1]) - 41.0, 19.0, 21.0, xtol=1e-12)
+    assert float(found.probability(above=41.0)) == pytest.approx((21.0 - slowest) / 2, abs=1e-8)
+
+
 @pytest.mark.parametrize("integrator", [None, *ADAPTIVE], ids=lambda one: type(one).__name__)
 def test_an_uncertain_restitution_spreads_the_height_as_the_closed_form_says(integrator):
     found = al.expand(

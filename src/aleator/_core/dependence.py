@@ -6,7 +6,7 @@ below count as bent by all that they are given, so that patterns may be too wide
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from typing import Any, NamedTuple, TypeAlias, final
 
@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from jax.core import Tracer
 from jax.extend.core import Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float, Int
@@ -28,8 +29,13 @@ _BENT = {
     *("exp", "exp2", "expm1", "log", "log1p", "logistic", "erf", "erfc", "erf_inv", "lgamma", "digamma"),
     *("mul", "div", "pow", "integer_pow", "square", "sqrt", "rsqrt", "cbrt", "abs", "max", "min", "clamp"),
 }
+BY_NUMBER = {
+    *(*_LINEAR, *_BENT, "sign", "floor", "ceil", "round", "is_finite", "stop_gradient", "rem"),
+    *("lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not", "xor"),
+}
+"""Equations of one number each, of arrays of one shape."""
 # Results that are operands' numbers in other places, or fixed ones: by NumPy, for JAX would compile a program for each.
-_MOVING: dict[str, Callable[..., Any]] = {
+MOVING: dict[str, Callable[..., Any]] = {
     "reshape": lambda one, new_sizes, **_: one.reshape(new_sizes),
     "transpose": lambda one, permutation: one.transpose(permutation),
     "squeeze": lambda one, dimensions: one.squeeze(dimensions),
@@ -47,7 +53,7 @@ _MOVING: dict[str, Callable[..., Any]] = {
 # The same, by JAX.
 _MOVING_BY_JAX = {"pad", "dynamic_slice"}
 # The numbers of places, which follow from no variable, such as those of `x.at[0]` and `x[-indices]`.
-_COUNTED: dict[str, Callable[..., Any]] = _MOVING | {
+_COUNTED: dict[str, Callable[..., Any]] = MOVING | {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
@@ -60,7 +66,7 @@ _COUNTED: dict[str, Callable[..., Any]] = _MOVING | {
 # Numbers are taken from such places, or brought there.
 _GATHERS, _SCATTERS = "gather", ("scatter", "scatter-add")
 # Primitives that contain other equations.
-_NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
+NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
 # No table of dependences is larger than this: blocks of more numbers are full.
 _MOST = 10_000_000
 # Tables of more variables are multiplied as sparse ones.
@@ -113,7 +119,8 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     certain = len(jaxpr.invars) - len(variables)
     alone = np.split(np.eye(count, dtype=bool), np.cumsum(sizes)[:-1])
     following = _Following(count)
-    (first,) = following.results(jaxpr, [*[None] * certain, *alone])
+    known = dict(zip(jaxpr.constvars, closed.consts, strict=True))
+    (first,) = following.results(jaxpr, [*[None] * certain, *alone], known)
     return Dependence(np.zeros((rows, count), dtype=bool) if first is None else first, following.bent)
 
 
@@ -121,7 +128,7 @@ def _largest(jaxpr: Any) -> int:
     """The size of the largest array in some equations."""
     size = 0
     for equation in jaxpr.eqns:
-        inner = equation.params.get(_NESTED.get(equation.primitive.name, ""))
+        inner = equation.params.get(NESTED.get(equation.primitive.name, ""))
         size = max(size, *(one.aval.size for one in equation.outvars), _largest(inner.jaxpr) if inner else 0)
     return size
 
@@ -133,10 +140,10 @@ class _Following:
     def __init__(self, count: int):
         self.bent = np.zeros((count, count), dtype=bool)
 
-    def results(self, jaxpr: Any, arguments: Sequence[_Known]) -> list[_Known]:
-        """The dependences of the results of some equations."""
+    def results(self, jaxpr: Any, arguments: Sequence[_Known], constants: Mapping[Any, Any]) -> list[_Known]:
+        """The dependences of the results of some equations, with the values of their constants."""
         tables: dict[Any, _Known] = dict(zip(jaxpr.invars, arguments, strict=True))
-        counted: dict[Any, np.ndarray] = {}
+        counted = {one: np.asarray(value) for one, value in constants.items() if _is_counted(one, value)}
 
         def read(variable: Any) -> _Known:
             return None if isinstance(variable, Literal) else tables.get(variable)
@@ -158,9 +165,10 @@ class _Following:
             places = counted.get(equation.invars[1])
             if places is not None and (landed := _landed(equation, places)) is not None:
                 return [_brought(equation, landed, operands)]
-        if name in _NESTED:
-            return self.results(equation.params[_NESTED[name]].jaxpr, operands)
-        if (name in _MOVING or name in _MOVING_BY_JAX) and _moves_by_known_places(equation):
+        if name in NESTED:
+            inner = equation.params[NESTED[name]]
+            return self.results(inner.jaxpr, operands, dict(zip(inner.jaxpr.constvars, inner.consts, strict=True)))
+        if (name in MOVING or name in _MOVING_BY_JAX) and _moves_by_known_places(equation):
             return _moved(equation, operands)
         if name == "reduce_sum" or name == "cumsum":
             return [_summed(equation, operands[0])]
@@ -226,6 +234,11 @@ def _is_smooth(variable: Any) -> bool:
     return jnp.issubdtype(variable.aval.dtype, jnp.inexact)
 
 
+def _is_counted(variable: Any, value: Any) -> bool:
+    """Whether an array is the numbers of places, and known."""
+    return not (isinstance(value, Tracer) or _is_smooth(variable))
+
+
 def _landed(equation: Any, places: Int[np.ndarray, "... axes"]) -> Int[np.ndarray, " numbers"] | None:
     """Where in its operand each number stands that an equation takes or brings; None if some are outside, and for
     batches.
@@ -276,7 +289,7 @@ def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
         np.arange(last - size, last, dtype=float).reshape(one.aval.shape) if _is_smooth(one) else one.val
         for one, size, last in zip(equation.invars, sizes, 1 + np.cumsum(sizes), strict=True)
     ]
-    if move := _MOVING.get(equation.primitive.name):
+    if move := MOVING.get(equation.primitive.name):
         moved = move(*places, **equation.params)
     else:
         # Now, where some other function is being traced too.

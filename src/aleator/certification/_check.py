@@ -171,7 +171,8 @@ def begin_check(
 
     Where states are variables, a stiff model has an answer that no explicit method confirms: what is not finite is
     simulated again by an implicit one. Nor does a simulation from the first instant confirm the answer to an unstable
-    one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has.
+    one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has,
+    or a phase that an event ends, as a whole.
     """
     problem = transcribed.problem
     systems = systems_of(problem, 0) if systems is None else systems
@@ -197,9 +198,9 @@ def begin_check(
             return check
         if not check.is_finite:
             check = begun(Rodas5P())()
-        # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
-        has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
-        if not has_parts or not (departed := _departed(check)):
+        # A time that is sought has no parts that could be simulated each by itself.
+        is_sought = isinstance(problem.grid, Grid) and problem.grid.until is not None
+        if is_sought or not (departed := _departed(check)):
             return check
         again = begun(reference, departed)()
         return again if again.is_finite else begun(Rodas5P(), departed)()

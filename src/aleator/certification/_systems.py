@@ -7,7 +7,7 @@ The finer grid has an odd prime number of times as many steps, so that its insta
 problem's: what is constant at these, such as a ripple of their period, shows there.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
@@ -58,7 +58,7 @@ def history_of(output: str) -> AbstractFunctional:
 def _check(
     problem: Problem,
     decisions: Float[Array, " n"],
-    systems: tuple[Float[Array, "systems variables"], Float[Array, "systems parts states"] | None],
+    systems: tuple[Float[Array, "systems variables"], Mapping[str, Float[Array, "systems parts states"]] | None],
 ) -> Sampled:
     """Functionals of some systems, and the histories of their outputs; paths have their instants along the first axis,
     as they are simulated, and systems along the second.
@@ -109,7 +109,8 @@ class Simulations:
     """Simulations of a problem at one point of its program.
 
     - `problem`: that on the finer grid, with its integrator;
-    - `in_parts`: whether each step of the program's own grid is simulated from the states of its mesh.
+    - `in_parts`: whether each step of the program's own grid, or a phase that an event ends, is simulated from the
+      states of its mesh.
     """
 
     transcribed: AbstractTranscribed
@@ -130,9 +131,11 @@ class Simulations:
         """
         points, courses = _points(self.transcribed.discretised, self.problem, systems), None
         if self.in_parts:
-            rows, predicted = self._courses
-            count = len(self.transcribed.collocation.points)
-            courses = np.concatenate([rows[:count], predicted(systems.points), rows[count:]])
+            count, predicted = len(self.transcribed.collocation.points), self._predicted(systems.points)
+            courses = {
+                phase: np.concatenate([rows[:count], predicted[phase], rows[count:]])
+                for phase, rows in self._courses.items()
+            }
         return self._begin(points, courses)
 
     def at(self, germ: Float[np.ndarray, "n variables"]) -> Values:
@@ -140,7 +143,7 @@ class Simulations:
         size, waiting = len(_points(self.transcribed.discretised, self.problem)), []
         for first in range(0, len(germ), size):
             points = fill(germ[first : first + size], size)
-            waiting.append(self._begin(points, self._courses[1](points) if self.in_parts else None))
+            waiting.append(self._begin(points, self._predicted(points) if self.in_parts else None))
         runs = [wait()[0] for wait in waiting]
         return {one: np.concatenate([run[one] for run in runs])[: len(germ)] for one in runs[0]}
 
@@ -156,19 +159,22 @@ class Simulations:
         return values
 
     @cached_property
-    def _courses(
-        self,
-    ) -> tuple[
-        Float[np.ndarray, "systems parts states"],
-        Callable[[Float[np.ndarray, "n variables"]], Float[np.ndarray, "n parts states"]],
-    ]:
-        """The states of a mesh at the beginning of each step of the grid: of all systems of the program, and of others
-        as their expansions predict them.
+    def _courses(self) -> dict[str, Float[np.ndarray, "systems parts states"]]:
+        """By phase, the states of a mesh at the beginning of each step, or of the phase if an event ends it, in all
+        systems of the program.
         """
-        states, (basis, collocation, _) = self.transcribed.states_at(self.point), self.transcribed.discretised
-        grid = self.transcribed.problem.grid
+        states, courses = self.transcribed.states_at(self.point), {}
         assert states is not None
-        assert isinstance(grid, Grid)
-        rows = states.rows()[:, np.searchsorted(states.fractions(), grid.fractions[:-1] - _SAME)]
-        fitted = np.asarray(collocation.coefficients(rows[: len(collocation.points)]))
-        return rows, lambda germ: np.tensordot(basis.matrix(germ), fitted, axes=1)
+        for phase in states.phases or ("",):
+            grid = self.transcribed.problem.grid.of(f"{phase}.")
+            assert isinstance(grid, Grid)
+            begins = grid.fractions[: 1 if grid.until is not None else -1]
+            courses[phase] = states.rows(phase)[:, np.searchsorted(states.fractions(phase), begins - _SAME)]
+        return courses
+
+    def _predicted(self, germ: Float[np.ndarray, "n variables"]) -> dict[str, Float[np.ndarray, "n parts states"]]:
+        """The same of other systems, by the expansions of these states."""
+        basis, collocation, _ = self.transcribed.discretised
+        matrix, count = basis.matrix(germ), len(collocation.points)
+        fitted = {phase: np.asarray(collocation.coefficients(rows[:count])) for phase, rows in self._courses.items()}
+        return {phase: np.tensordot(matrix, terms, axes=1) for phase, terms in fitted.items()}

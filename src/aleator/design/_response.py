@@ -184,13 +184,13 @@ def sample(
     paths: tuple[AbstractFunctional, ...],
     germ: Float[Array, " variables"],
     decisions: Float[Array, " n"],
-    course: Float[Array, "parts states"] | None = None,
+    courses: Mapping[str, Float[Array, "parts states"]] | None = None,
 ) -> Sampled:
     """Functionals of one realisation; those in `paths` at the midpoints of steps too.
 
-    - `course`: the states from which parts of the time are simulated, see `Asked.course`.
+    - `courses`: the states from which parts of the time are simulated, see `Asked.courses`.
     """
-    asked = asked_for(functionals)._replace(nodes=_outputs(paths), course=course)
+    asked = asked_for(functionals)._replace(nodes=_outputs(paths), courses=courses)
     record = realise(problem.simulation, germ, decisions).record(asked)
     return Sampled(
         numbers_of(functionals, taken_from(record, functionals), record.grid),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core import border
@@ -162,7 +162,7 @@ def _linearised(
     """
     count = sizes.unknowns
 
-    def of_unknowns(share: Array, unknowns: Vector) -> Vector:
+    def of_unknowns(share: Array, unknowns: Float[Array, " unknowns"]) -> Vector:
         return rates(share, jnp.concatenate([unknowns, vector[count:]]))
 
     pattern = dependence(lambda *at: of_unknowns(*at)[:count], [begin], [vector[:count]]).first

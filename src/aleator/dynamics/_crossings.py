@@ -10,6 +10,7 @@ Steps are those of the grid, or of an adaptive method, which are looked at once 
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from aleator._core.alike import together
 from aleator._core.equations import as_time, loop_while_any
 from aleator.dynamics._evaluation import (
     after_events,
@@ -30,6 +32,7 @@ from aleator.dynamics._evaluation import (
     observation,
     variables_of,
 )
+from aleator.dynamics._event import CLOSE, crosses_zero, is_near
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import Asked, Occurrence, Record, zeros
 from aleator.dynamics._steps import Method, Pace, Rates, Sizes, Steps, Vector, signals_within, steps_of
@@ -37,8 +40,6 @@ from aleator.dynamics._system import System, state_type
 
 # Steps of the search for an event at most, and corrections of its time afterwards, for derivatives.
 _SEARCHED, _CORRECTIONS = 24, 4
-# A correction that is a smaller part of a step, or of the time, is rounding. Sides of zero look ahead by as much.
-CLOSE = 1e-9
 # A jump that leaves a smaller part of the rate of an event leaves it where it is.
 _LEAST = 1e-6
 # The most events in one step of the grid; the shortest step of an adaptive method, relative to the time.
@@ -155,14 +156,23 @@ def course(
     """
     steps, places = steps_of(grid, inputs, [])
     t, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
-    start, count = initial_state(system, t, now), len(system.states)
+    count = len(system.states)
     # Other methods find algebraic variables wherever they see states.
     carries = bool(system.algebraic) and method.carries_algebraic
-    guess = guessed_algebraic(system, t, start, now) if carries else ()
-    integrands = zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))
-    vector, named = ravel_pytree(((*start, *guess), integrands))
-    size, algebraic = (sum(map(jnp.size, part)) for part in (start, guess))
-    sizes = Sizes(size, algebraic, vector.size - size - algebraic)
+    once = partial(together, count + len(system.algebraic))
+    layouts: list[tuple[Callable[[Vector], Any], Sizes]] = []
+
+    def begun() -> Vector:
+        start = initial_state(system, t, now)
+        guess = guessed_algebraic(system, t, start, now) if carries else ()
+        integrands = zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))
+        vector, named = ravel_pytree(((*start, *guess), integrands))
+        size, algebraic = (sum(map(jnp.size, part)) for part in (start, guess))
+        layouts.append((named, Sizes(size, algebraic, vector.size - size - algebraic)))
+        return vector
+
+    vector, ((named, sizes),) = once(begun), layouts
+    size = sizes.states
     every = list(system.declared_events)
     directions = np.array([system.declared_events[name].direction for name in names])
     ends = np.array([name == grid.until for name in names], dtype=bool)
@@ -207,10 +217,13 @@ def course(
         def noted(share: Any, vector: Vector) -> Seen:
             return Seen(step.t + share * step.h, (vector[:size], signals(share)) if asked.at_events else ())
 
-        # Algebraic variables jump with the inputs: the step begins with those on its own side.
-        z = solved(step.t, states_of(vector), vector, step.first)
-        vector = ravel_pytree(((*z,), named(vector)[1]))[0] if carries else vector
-        outputs = asked.at_instant(system, step.t, z, step.first)
+        def at_instant(vector: Vector) -> dict[str, Array]:
+            return asked.at_instant(system, step.t, variables_of(system, named(vector)[0]), step.first)
+
+        if carries:  # Algebraic variables jump with the inputs: the step begins with those on its own side.
+            z = solved(step.t, states_of(vector), vector, step.first)
+            vector = ravel_pytree(((*z,), named(vector)[1]))[0]
+        outputs = once(at_instant, vector)
         ignored, forced, phase = np.zeros_like(ends), np.zeros_like(ends), none
         if pace is not None:
             latest = jnp.maximum(jnp.abs(step.t), jnp.abs(step.t + step.h))
@@ -221,12 +234,13 @@ def course(
             ignored, forced = is_final & ends, (is_final & is_last) & ends
             phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, phase)
         looked = _Looked(directions, ends, step.begin, ignored, forced)
+        functions = _Functions(partial(once, rates), partial(once, levels), partial(once, after), noted)
         search = _Search(zero + 1, zero, zero + 1, (zero > 0) & ends, zero, none + _MOST, seen) if names else None
         # Without events JAX's own loop tells how the program has to be compiled (see `ends_by_condition`).
         loop = loop_while_any if names else jax.lax.while_loop
         end = loop(
             lambda state: state.phase >= 0,
-            lambda state: _moved(method, _Functions(rates, levels, after, noted), looked, sizes, state),
+            lambda state: _moved(method, functions, looked, sizes, state),
             _State(vector, zero, phase, search, pace),
         )
         event, met = none, none
@@ -251,7 +265,8 @@ def course(
         for name, t in times.items()
         if name != grid.until
     }
-    record, t_final = Record(history, {}, named(end)[1], events=events), times.get(grid.until or "", grid.t_final)
+    integrals = once(lambda vector: named(vector)[1], end)
+    record, t_final = Record(history, {}, integrals, events=events), times.get(grid.until or "", grid.t_final)
     if times:
         is_known = ~jnp.isnan(jnp.stack([*times.values()])).any()
         record = jax.tree.map(lambda one: _where(is_known, one, jnp.nan), record)
@@ -377,21 +392,6 @@ def _where(is_first: Array, first: Any, second: Any) -> Array:
     shape, dtype = jnp.broadcast_shapes(jnp.shape(first), jnp.shape(second)), jnp.result_type(first, second)
     sides = (jnp.broadcast_to(jnp.asarray(one, dtype), shape) for one in (first, second))
     return jax.lax.select(is_first, *sides)
-
-
-def crosses_zero(level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any) -> Bool[Array, " n"]:
-    """Whether levels end on the other side of zero, in a direction that counts.
-
-    - `rate`: in a step. The side is that of a moment later: so a start on the ground is no landing.
-    """
-    is_above, ends_above = level + CLOSE * rate >= 0, level_at + CLOSE * rate_at >= 0
-    counts = ends_above & np.asarray(directions >= 0) | is_above & np.asarray(directions <= 0)
-    return (is_above != ends_above) & counts & jnp.isfinite(level_at)
-
-
-def is_near(level: Array, rate: Array) -> Array:
-    """Whether levels are zero up to rounding."""
-    return jnp.abs(level) <= CLOSE * jnp.abs(rate)
 
 
 def nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:

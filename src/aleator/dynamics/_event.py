@@ -1,10 +1,17 @@
-"""`Event`: when something happens to a system, and what it does to the states."""
+"""`Event`: when something happens to a system, and what it does to the states; what counts as a crossing of zero."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
 from aleator._core.border import refusal
+
+CLOSE = 1e-9
+"""A correction that is a smaller part of a step, or of the time, is rounding. Sides of zero look ahead by as much."""
 
 
 @final
@@ -38,3 +45,18 @@ class Event:
             raise refusal("Event: direction", "1 (rising), -1 (falling) or 0 (both)", self.direction)
         if not (self.jump is None or callable(self.jump)):
             raise refusal("Event: jump", "a function such as lambda self, t, z: {'v': -self.e * z.v}", self.jump)
+
+
+def crosses_zero(level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any) -> Bool[Array, " n"]:
+    """Whether levels end on the other side of zero, in a direction that counts.
+
+    - `rate`: in a step. The side is that of a moment later: so a start on the ground is no landing.
+    """
+    is_above, ends_above = level + CLOSE * rate >= 0, level_at + CLOSE * rate_at >= 0
+    counts = ends_above & np.asarray(directions >= 0) | is_above & np.asarray(directions <= 0)
+    return (is_above != ends_above) & counts & jnp.isfinite(level_at)
+
+
+def is_near(level: Array, rate: Array) -> Array:
+    """Whether levels are zero up to rounding."""
+    return jnp.abs(level) <= CLOSE * jnp.abs(rate)

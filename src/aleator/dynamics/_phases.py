@@ -313,6 +313,7 @@ def asked_within(phase: str, asked: Asked) -> Asked:
         integrated=tuple(within(phase, asked.integrated[i]) for i in which),
         events=within(phase, asked.events),
         at_events=within(phase, asked.at_events),
+        courses=asked.courses and {"": asked.courses[phase]},
     )
 
 

@@ -44,8 +44,9 @@ class Asked(NamedTuple):
     - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
     - `events`: those whose first occurrence is needed, without which nothing is known of a realisation; `at_events`:
       the outputs at these; `multipliers`: whether the monodromy matrix of a cycle is;
-    - `course`: the states, side by side, from which each of so many equal parts of the time is simulated; None for one
-      simulation from the first instant. Integrators are asked for one part at a time.
+    - `courses`: by phase (`""` where there are none), the states, side by side, from which each of so many equal parts
+      of its time is simulated, or all of it where an event ends it; None for one simulation from the first instant.
+      Integrators are asked for one part at a time.
     """
 
     instants: frozenset[str] | None = None
@@ -54,7 +55,7 @@ class Asked(NamedTuple):
     integrated: tuple[frozenset[str], ...] = ()
     states: bool = False
     fold: Fold | None = None
-    course: Float[Array, "parts states"] | None = None
+    courses: Mapping[str, Float[Array, "parts states"]] | None = None
     events: frozenset[str] = frozenset()
     at_events: frozenset[str] = frozenset()
     multipliers: bool = False

@@ -124,9 +124,12 @@ class Simulation(AbstractPlanned):
         inputs = self.signals(system)
         if asked.outputs is not None:
             system = system.focused(asked.outputs)
-        if asked.course is not None:
+        if asked.courses is not None:
             assert isinstance(system, TracedSystem)
-            return self._in_parts(system, grid, inputs, asked, asked.course)._replace(grid=grid)
+            course, asked = asked.courses[""], asked._replace(courses=None)
+            if grid.until is not None:
+                return replace(self, begun=course[0]).record(asked)
+            return self._in_parts(system, grid, inputs, asked, course)._replace(grid=grid)
         if not system.states:
             return observed(system, grid, inputs, asked)._replace(grid=grid)
         if grid.until is None and not grid.periodic:
@@ -156,10 +159,11 @@ class Simulation(AbstractPlanned):
         return record._replace(history=history)
 
     def _in_order(self, asked: Asked) -> dict[str, Record]:
-        """The record of each phase, which begins with the states that the one before ends with."""
+        """The record of each phase, which begins with the states that the one before ends with, or that are told."""
         records, before, phases = dict[str, Record](), None, self.phases
         for name, one in phases.items():
-            one = one if before is None else self._begun(name, one, before, next(reversed(records.values())))
+            if before is not None and asked.courses is None:
+                one = self._begun(name, one, before, next(reversed(records.values())))
             states = asked.states or len(records) + 1 < len(phases)
             records[name] = one.record(asked_within(name, asked)._replace(states=states))
             before = one
@@ -236,7 +240,7 @@ class Simulation(AbstractPlanned):
 
         def part(states: Array, first: Array, last: Array) -> Record:
             own = eqx.tree_at(lambda one: (one.t_start, one.t_final), grid.divided(steps), (first, last))
-            return self.integrator.record(system.beginning(states), own, whole, asked._replace(course=None))
+            return self.integrator.record(system.beginning(states), own, whole, asked)
 
         def joined(rows: Float[Array, "parts ends ..."]) -> Float[Array, "instants ..."]:
             return jnp.concatenate([rows[0, :1], rows[:, 1:].reshape(-1, *rows.shape[2:])])

@@ -302,7 +302,8 @@ class Certificate(Printed):
       nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
     - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
-      were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude;
+      were checked step by step, or a phase that an event ends as a whole, each from the plan's own state; empty if it
+      does not depart by orders of magnitude;
     - `smoothing`: the same design at half the widths of `al.smooth`; None without any;
     - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty.
     """
@@ -380,8 +381,8 @@ class Certificate(Printed):
             (
                 "open loop",
                 self.departed
-                and f"unstable: simulated from its first instant, {self.departed}; so each step of the grid was "
-                "checked from the plan's own state, and the plan needs feedback",
+                and f"unstable: simulated from its first instant, {self.departed}; so each step of the grid, "
+                "or a phase that an event ends, was checked from the plan's own state, and the plan needs feedback",
             ),
             *(("worst case", row) for row in (worst_case.rows() if worst_case else ())),
             ("certificate", residuals),

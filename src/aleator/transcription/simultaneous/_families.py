@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.alike import together
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
@@ -212,15 +213,20 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     """The functions of families, by their numbers: of all on a plan; by mean rates alone, of those that grow with the
     mesh.
     """
+    every = Pointwise.each(problem)
+    names = max(one.names for one in every)
     if isinstance(plan, AbstractMeanRate):
-        every = Pointwise.each(problem)
         blocks = [{RATES: partial(one.mean_rates, plan), EQUATIONS: one.residuals} for one in every]
-        return {number_of(kind, i, len(every)): block for i, own in enumerate(blocks) for kind, block in own.items()}
+        return {
+            number_of(kind, i, len(every)): partial(together, names, block)
+            for i, own in enumerate(blocks)
+            for kind, block in own.items()
+        }
     assert constants is not None
     layout = Layout.of(problem, plan)
     nowhere = np.zeros((plan.realisations, len(problem.placements.germ_names)))
-    every = families(layout, problem, constants, nowhere, layout.view(np.zeros(layout.count))).every
-    return {i: one.function for i, one in enumerate(every)}
+    whole = families(layout, problem, constants, nowhere, layout.view(np.zeros(layout.count))).every
+    return {i: partial(together, names, one.function) for i, one in enumerate(whole)}
 
 
 def _nothing(*_: Any) -> Array:
