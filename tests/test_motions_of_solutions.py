@@ -70,6 +70,9 @@ def test_motions_are_those_of_each_system_of_the_expansion(transcription, tmp_pa
     table = np.genfromtxt(tmp_path / "motion.csv", delimiter=",", names=True)
     assert (tmp_path / "motion.csv").read_text().startswith("time (s),x mean (m),x std (m),v mean (m/s),v std (m/s)\n")
     np.testing.assert_allclose(table["v_mean_ms"], v["mean"], atol=1e-9)
+    for write in (solution.outputs.to_netcdf, solution.states.to_csv):
+        with pytest.raises(al.ProblemError, match=r"cannot be written .the folder .*missing does not exist"):
+            write(tmp_path / "missing" / "motion")
 
 
 def test_a_signal_of_a_solution_drives_another_simulation():

@@ -496,6 +496,7 @@ def test_what_need_not_end_is_read_nowhere(tmp_path, monkeypatch):
     refuses(lambda: al.Tabulated.from_csv(pipe, "t", "x"), "a pipe or a device")
     refuses(lambda: al.Tabulated.from_csv("/dev/zero", "t", "x"), "a pipe or a device")
     refuses(lambda: al.foreign.read_urdf(pipe), "a pipe or a device")
+    refuses(lambda: al.foreign.Fmu(pipe), "a pipe or a device", "install")
     refuses(lambda: al.journal(tmp_path).__enter__(), "a pipe or a device")
     (tmp_path / "table.csv").write_bytes(b"t,x\n0,1\n1,2\n")
     monkeypatch.setattr(arrays, "memory", lambda: 10)

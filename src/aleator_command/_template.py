@@ -62,11 +62,12 @@ def begin_file(path: Path) -> Path:
     """Write a commented study. Raises `ValueError` for a file that exists or cannot be written, and for odd names."""
     if path.is_dir():
         raise ValueError(f"new: '{path}' is a folder: name a file in it, such as {path / 'bracket.py'}.")
-    path = path.with_suffix(".py")
-    if not re.fullmatch(r"[A-Za-z_]\w*", path.stem):
+    if not re.fullmatch(r"[A-Za-z_]\w*(\.py)?", path.name):
         raise ValueError(
-            f"new: expected a name of letters, digits and underscores, such as bracket.py; received '{path.name}'."
+            "new: expected a Python file named by letters, digits and underscores, such as bracket.py; received "
+            f"'{path.name}'."
         )
+    path = path.with_suffix(".py")
     if path.exists():
         raise ValueError(f"new: '{path}' exists already, and is left as it is: choose another name.")
     title = path.stem.replace("_", " ").capitalize()

@@ -1,4 +1,4 @@
-"""Inputs on which other tools failed: correlated and not normal, outside of the model."""
+"""Inputs on which other tools failed: far in a tail, correlated and not normal, outside of the model."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +7,33 @@ import pytest
 import aleator as al
 
 pytestmark = pytest.mark.slow
+
+
+# --- Truncated normals (openturns/openturns#2058, JuliaStats/Distributions.jl#827) ------------------------------------
+
+# Mean and standard deviation of N(location, scale) within an interval, by mpmath with 50 digits.
+TRUNCATED = {
+    (145.0, 10.0, 125.0, 165.0): (145.0, 8.7962566103424),
+    (0.0, 1.0, -0.5, 0.5): (0.0, 0.283882290044328),
+    (50.0, 1.0, 14.0, 15.0): (14.971475029403313, 0.02850184499961821),
+}
+
+
+def truncated(location, scale, lower, upper):
+    x = al.TruncatedNormal(location, scale, lower=lower, upper=upper)
+    return al.expand(lambda at: at["x"], {"x": x}, al.Expansion(order=3))
+
+
+@pytest.mark.parametrize("numbers", TRUNCATED)
+def test_truncated_normals_have_their_moments_35_scales_from_the_mode(numbers):
+    expanded = truncated(*numbers)
+    assert (expanded.mean, expanded.std) == pytest.approx(TRUNCATED[numbers], rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("numbers", [(50.0, 1.0, 3.0, 4.0), (1e6, 1.0, 0.0, 1000.0)])
+def test_truncated_normals_beyond_37_scales_are_refused(numbers):
+    with pytest.raises(al.ProblemError, match="a part of the interval within 37 scales of the location"):
+        truncated(*numbers)
 
 
 # --- The ratio of correlated lognormals (Dakota user's manual, logratio_uq_reliability) ------------------------------

@@ -29,13 +29,12 @@ def rod(d, u, v, weights):
     return {"y": d * sum(weight * response(u, v) for weight, (response, _) in each), "d": d}
 
 
-def largest(response, limit, order):
-    """The largest size whose response keeps a limit of 10."""
+def largest(response, limit, order, *, least=False):
+    """The largest, or the least, size whose response keeps a limit."""
     weights = [float(response == one) for one in RESPONSES]
-    model = rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), weights)
-    problem = al.Problem(
-        model, minimize=-1 * al.output("d").mean, subject_to=[limit], expansion=al.Expansion(order=order)
-    )
+    model = rod(al.Decision(2.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), weights)
+    objective = (1 if least else -1) * al.output("d").mean
+    problem = al.Problem(model, minimize=objective, subject_to=[limit], expansion=al.Expansion(order=order))
     return al.solve(problem, throw=False)
 
 
@@ -51,6 +50,19 @@ def test_a_limit_on_a_quantile_is_at_its_optimum_or_not_ok(response, level, orde
     solution = largest(response, al.output("y").at_most(10.0, probability=level), order)
     exact = 10 / RESPONSES[response][1](level)
     assert not solution.ok or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
+    if response in ("squares", "product"):
+        assert solution.ok
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(("response", "level", "order"), SLOW)
+def test_a_limit_on_a_low_quantile_is_at_its_optimum_or_not_ok(response, level, order):
+    of = RESPONSES[response][1]
+    low = 8 - of(level) if response == "product" else of(1 - level)  # a product is symmetric about 4
+    limit = al.output("y").at_least(low, probability=level)
+    solution = largest(response, limit, order, least=low > 0)
+    assert not solution.ok or float(solution.decisions["d"]) == pytest.approx(1.0, rel=1e-2)
     if response in ("squares", "product"):
         assert solution.ok
 

@@ -162,8 +162,9 @@ RAMP = al.processes.signal(lambda t, p: jnp.where(t < 0.3337, t, 0.3337))
 
 def test_a_jump_that_is_not_declared_is_told_by_simulate_and_expand():
     for_masses = {"mass": al.Uniform(1.0, half_width=0.1)}
-    with pytest.warns(al.GridWarning, match=r"Block: its rates jump at t = 0\.3337 s"):
+    with pytest.warns(al.GridWarning, match=r"Block: its rates jump at t = 0\.3337 s") as warned:
         al.simulate(Block(), GRID, {"push": SILENT})
+    assert warned[0].filename == __file__
     with pytest.warns(al.GridWarning, match=r"rates jump at t = 0\.3337 s"):
         al.expand(lambda at: al.simulate(Block(at["mass"]), GRID, {"push": SILENT})["v"][-1], for_masses)
     with warnings.catch_warnings():

@@ -118,12 +118,26 @@ class Cell(al.System):
 
 
 @pytest.mark.slow
-def test_a_limit_of_zero_on_what_may_be_rounding_is_told():
+@pytest.mark.parametrize("transcription", [al.Sequential(), al.Simultaneous()])
+def test_a_limit_of_zero_on_what_may_be_rounding_and_follows_the_decisions_is_no_solution(transcription):
     problem = al.Problem(
         Cell(al.Decision(0.5, 0.0, 10.0)),
         grid=al.Grid(1.0, 2),
         minimize=-1 * al.value("electrons"),
         subject_to=[al.path("q").at_most(0.0)],
     )
-    with pytest.warns(al.AleatorWarning, match=r"'q' is taken to hold: its values, [0-9.]+e-1[89] at most, count"):
-        al.solve(problem)
+    with pytest.raises(al.SolveError, match=r"'q' .* is broken by 1.3e-18.* let the output be in a smaller unit"):
+        al.solve(problem, transcription=transcription)
+
+
+@algebraic
+def binomial(a, b):
+    """What is left of (a + b)² - a² - 2 a b - b² is rounding."""
+    return {"left": (a + b) ** 2 - a**2 - 2 * a * b - b**2, "a": a}
+
+
+def test_a_limit_of_zero_on_rounding_neither_leads_a_search_nor_holds_a_design():
+    limit = al.output("left").at_least(0.0)
+    problem = al.Problem(binomial(al.Decision(0.6, 0.1, 0.9), 1 / 3), minimize=al.value("a"), subject_to=[limit])
+    with pytest.warns(al.AleatorWarning, match="'left' is taken to hold: its values, .* count as rounding"):
+        assert al.solve(problem).decisions["a"] == pytest.approx(0.1)

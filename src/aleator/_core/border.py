@@ -4,13 +4,14 @@ Each check returns its value in the form in which it is stored, or raises `Probl
 expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
 """
 
+import contextlib
 import difflib
 import errno
 import inspect
 import json
 import reprlib
 import stat
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -44,6 +45,20 @@ def shown(value: Any) -> str:
 def refusal(what: str, expected: str, value: Any) -> ProblemError:
     """The error that says what was expected instead of `value`."""
     return ProblemError(f"{what}: expected {expected}; received {shown(value)}.")
+
+
+@contextlib.contextmanager
+def writing(who: str, path: Any) -> Iterator[Path]:
+    """The path of a file that is written meanwhile. Raises `ProblemError`, with the reason, if it cannot be."""
+    try:
+        file = Path(path)
+    except TypeError as error:
+        raise refusal(who, "the path of a file", path) from error
+    try:
+        yield file
+    except OSError as error:
+        what = f"the folder {file.parent} does not exist" if not file.parent.is_dir() else error.strerror or error
+        raise ProblemError(f"{who}: {file} cannot be written ({what}).") from error
 
 
 def meant(name: str, known: Collection[str]) -> str:

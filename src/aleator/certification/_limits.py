@@ -22,7 +22,7 @@ from aleator.nlp import NonlinearProgram
 from aleator.solution import Between
 from aleator.statistics import Std, Variance
 from aleator.trajectories import BSpline, piecewise_in
-from aleator.transcription import AbstractTranscribed, bound_size, excess_of
+from aleator.transcription import NOISE, AbstractTranscribed, bound_size, excess_of
 from aleator.uncertainty import at_means, realise
 
 OWN_ERROR = 1.25
@@ -33,6 +33,9 @@ _OF_THE_GRID = 0.1
 # A grid that differs from a finer one by more than these parts of a limit's size does not tell whether it holds: by
 # the first if it is no further from its bound than that, by the second wherever it is.
 _NEAR_BOUND, _ANYWHERE = 0.05, 0.25
+# A limit of zero is broken by more than this part of its values, which follow the decisions if they are nearly straight
+# over steps of this part of a typical magnitude.
+_BROKEN, _MOVED, _STRAIGHT = 1e-3, 1e-3, 0.1
 # A jump exceeds this many changes between neighbouring fine instants, and this part of the values.
 _STEEP, _LEAST = 5.0, 1e-6
 # A knot within this many steps of an instant coincides with it up to rounding.
@@ -130,6 +133,42 @@ def reach_of(expression: Expression, check: Check) -> float:
 
     terms = zip(expression.factors, expression.atoms, strict=True)
     return sum(abs(float(factor)) * sum(map(reach, atom.parts)) for factor, atom in terms)
+
+
+def indistinct_limit(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check | None
+) -> str:
+    """A sentence on a limit of zero that is broken by values so small that they count as rounding, though they follow
+    the decisions, as those of an output in too large a unit do; empty if there is none.
+
+    Nothing tells these from rounding of a constant, such as `sin(pi)`, that a decision multiplies.
+    """
+    problem, every = transcribed.problem, transcribed.at(point).constraints
+
+    def is_suspect(one: Constraint, values: Float[np.ndarray, "..."]) -> bool:
+        largest = float(np.max(np.abs(values), initial=0.0))
+        is_broken = float(excess_of(one, values).max(initial=0.0)) > _BROKEN * largest
+        small = is_broken and largest <= NOISE and not bound_size(one)
+        return small and (check is None or reach_of(one.expression, check) <= NOISE)
+
+    suspects = [i for i, (one, own) in enumerate(zip(problem.constraints, every, strict=True)) if is_suspect(one, own)]
+    if not suspects:
+        return ""
+    here, lower, upper = transcribed.decisions(point), *map(problem.placements.vector, ("lower", "upper"))
+    step = _MOVED * transcribed.decisions(transcribed.program.variable_scale)
+    step *= np.random.default_rng(0).uniform(0.5, 1.5, here.size) * np.where(here + 5 * step > upper, -1, 1)
+    moved = [transcribed.point(np.clip(here + i * step, lower, upper)) for i in range(4)]
+    values = [transcribed.at(one).constraints for one in moved]
+    for i in suspects:
+        along = np.array([one[i] for one in values])
+        change, bend = (float(np.linalg.norm(np.diff(along, order, axis=0))) for order in (1, 2))
+        if np.max(np.abs(along)) <= NOISE and bend < _STRAIGHT * change:
+            one, excess = problem.constraints[i], float(excess_of(problem.constraints[i], every[i]).max())
+            return (
+                f"'{one.name}' ({one}) is broken by {excess:.2g}. Values so small count as rounding of zero, but these "
+                "follow the decisions: let the output be in a smaller unit; or, if they are rounding, drop the limit"
+            )
+    return ""
 
 
 # --- Between the instants --------------------------------------------------------------------------------------------

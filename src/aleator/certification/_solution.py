@@ -14,6 +14,7 @@ from aleator import _core
 from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWarning, GridWarning
 from aleator.certification._check import Check, certain
 from aleator.certification._grids import at_half_width
+from aleator.certification._limits import indistinct_limit
 from aleator.certification._second_opinion import second_opinion
 from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
 from aleator.ensemble import inputs_at
@@ -174,6 +175,7 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
         smoothing=None if held.check is None else at_half_width(held.check),
         # A search has compared values.
         lost="" if solution.effort.searched else _lost_derivatives(held, solution.multipliers),
+        indistinct=indistinct_limit(held.transcribed, held.outcome.point, held.check),
         untrusted=_untrusted(solution),
         correlations=_moved_correlations(solution.problem, solution.vector),
     )

@@ -4,7 +4,6 @@ A comparison of the time, read off the equations, tells that something may jump;
 values on both sides.
 """
 
-import warnings
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -20,7 +19,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import one_of, refusal, shown
 from aleator._core.compilation import Compiled, Use
 from aleator._core.equations import TIME, Marks, switches
-from aleator._core.errors import GridWarning, ProblemError, SimulationWarning
+from aleator._core.errors import GridWarning, ProblemError, SimulationWarning, warn_outside
 from aleator._core.leaves import is_leaf, is_traced, named_leaves
 from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._equations import INSIDE
@@ -253,14 +252,13 @@ def _warn_of_jumps(simulation: Simulation) -> None:
         return
     times = jump_times(simulation) if time_switches(simulation) else np.zeros(0)
     if times.size:
-        warnings.warn(
+        warn_outside(
             f"{simulation.system.title}: its rates jump at t = {times[0]:.4g} s"
             f"{f' and {times.size - 1} more times' if times.size > 1 else ''}, and a step of "
             f"{type(simulation.integrator).__name__} that meets a jump is of first order. Declare it: let the "
             "equations depend on an input such as al.StepFunction([time], [before, after]), or an al.Tabulated that "
             "has the time twice. Or let steps adapt to it, al.integrators.Tsit5().",
             GridWarning,
-            stacklevel=4,
         )
 
 
@@ -275,9 +273,8 @@ def _warn_of_what_is_not_finite(simulation: Simulation, history: History) -> Non
     when = f" at t = {float(np.asarray(grid.of(name).times)[first[name]]):.4g} s" if has_time else ""
     when = " at any instant" if has_time and np.all(broken[name]) else when
     why = simulation.explain() or (simulation.system.diagnose(grid) if has_time else "")
-    warnings.warn(
+    warn_outside(
         f"{simulation.system.title}: output '{name}' is not finite{when}. "
         f"{why or 'Check the equations and their numbers there, or take more steps.'}",
         SimulationWarning,
-        stacklevel=3,
     )

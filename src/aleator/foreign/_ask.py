@@ -4,7 +4,6 @@ import csv
 import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import jax
@@ -235,15 +234,10 @@ class Asked:
         Raises `ProblemError` if the file cannot be written.
         """
         rows = zip(*(values.tolist() for values in self.points.values()), strict=True)
-        try:
-            with Path(path).open("w", encoding="utf-8", newline="") as file:
-                table = csv.writer(file, lineterminator="\n")
-                table.writerow([NUMBER, *self.points])
-                table.writerows([number, *row] for number, row in enumerate(rows, 1))
-        except TypeError as error:
-            raise border.refusal("write_csv", "the path of a file", path) from error
-        except OSError as error:
-            raise ProblemError(f"write_csv: {path} cannot be written ({error.strerror}).") from error
+        with border.writing("write_csv", path) as place, place.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow([NUMBER, *self.points])
+            table.writerows([number, *row] for number, row in enumerate(rows, 1))
 
     def tell(self, responses: Any, *, drop: float = 0.0, times: Any = None) -> Expanded:
         """The expansion of the responses: the same as that of `al.expand`, to the last bit.

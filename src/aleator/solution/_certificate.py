@@ -305,6 +305,8 @@ class Certificate(Printed):
       were checked step by step, or a phase that an event ends as a whole, each from the plan's own state; empty if it
       does not depart by orders of magnitude;
     - `smoothing`: the same design at half the widths of `al.smooth`; None without any;
+    - `indistinct`: a sentence on a limit of zero that is broken by values so small that they count as rounding, though
+      they follow the decisions; else empty;
     - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty.
     """
 
@@ -323,6 +325,7 @@ class Certificate(Printed):
     correlations: str = ""
     departed: str = ""
     smoothing: Smoothing | None = None
+    indistinct: str = ""
     crossed: str = ""
 
     @property
@@ -334,6 +337,8 @@ class Certificate(Printed):
         between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
         if self.crossed:
             yield "a realisation does not end at the first event", f"solved, but {self.crossed}"
+        if self.indistinct:
+            yield "a broken limit of zero is as small as rounding", f"solved, but {self.indistinct}"
         if between is not None and not between.holds:
             remedy = "or between=1 to check the instants alone"
             yield "limits break between the instants", f"solved at the instants of the grid, but {between}, {remedy}"

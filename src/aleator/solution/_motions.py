@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal
+from aleator._core.border import refusal, writing
 from aleator.solution._certificate import Moments, ends
 
 if TYPE_CHECKING:
@@ -79,12 +79,19 @@ class Motions(Mapping[str, "xarray.Dataset"]):
         return name in self.systems
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write all of them to one netCDF file: each in a group of its own name."""
-        for i, (name, dataset) in enumerate(self.items()):
-            dataset.to_netcdf(path, mode="a" if i else "w", group=name.replace("/", "_"), engine="h5netcdf")
+        """Write all of them to one netCDF file: each in a group of its own name.
+
+        Raises `ProblemError` if the file cannot be written.
+        """
+        with writing("to_netcdf", path) as file:
+            for i, (name, dataset) in enumerate(self.items()):
+                dataset.to_netcdf(file, mode="a" if i else "w", group=name.replace("/", "_"), engine="h5netcdf")
 
     def to_csv(self, path: str | Path) -> None:
-        """Write means and standard deviations as a table: a row for each instant, columns such as `force mean (N)`."""
+        """Write means and standard deviations as a table: a row for each instant, columns such as `force mean (N)`.
+
+        Raises `ProblemError` if the file cannot be written.
+        """
         import pandas
 
         rows = 1 if self.times is None else len(self.times)
@@ -99,7 +106,8 @@ class Motions(Mapping[str, "xarray.Dataset"]):
                 for i in range(table.shape[1]):
                     place = f"[{i}]" if table.shape[1] > 1 else ""
                     columns[f"{name}{place} {kind}{unit}"] = table[:, i]
-        pandas.DataFrame(columns).to_csv(path, index=False)
+        with writing("to_csv", path) as file:
+            pandas.DataFrame(columns).to_csv(file, index=False)
 
     @override
     def __repr__(self) -> str:

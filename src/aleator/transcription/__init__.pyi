@@ -4,6 +4,7 @@ from ._abstract import AbstractTranscribed as AbstractTranscribed
 from ._abstract import AbstractTranscription as AbstractTranscription
 from ._abstract import Meaning as Meaning
 from ._abstract import Remembered as Remembered
+from ._constraints import NOISE as NOISE
 from ._constraints import OF_ROUNDING as OF_ROUNDING
 from ._constraints import as_read as as_read
 from ._constraints import blind_decisions as blind_decisions

@@ -38,9 +38,9 @@ _MOST_BOUNDS, _MOST_SIZES, _BEYOND = 1e3, 1e2, 10.0
 _MOST_SPREADS = 1e4
 # The effect of rounding of the decisions on a constraint, in rounding errors of its own terms.
 _ROUNDINGS = 4.0
-# A constraint with zero bounds whose values are nowhere larger than this is zero up to rounding.
-_NOISE = 1e-13
-OF_ROUNDING = _NOISE / HELD
+NOISE = 1e-13
+"""A constraint with zero bounds whose values are nowhere larger than this is zero up to rounding."""
+OF_ROUNDING = NOISE / HELD
 """The size of a constraint of which all that is seen may be rounding: it holds."""
 # A value at the start that is less than this part of its change does not show how large values are.
 _LITTLE = 1e-6
@@ -77,7 +77,7 @@ def constraint_size(
         size = float(np.clip(largest, bound, _MOST_BOUNDS * bound))
     else:
         size = max(largest, min(change, _BEYOND * away) if away > 0 else change)
-        size = size if max(size, change, away) > _NOISE else OF_ROUNDING
+        size = size if max(size, change, away) > NOISE else OF_ROUNDING
     size = min(size, max(_MOST_SPREADS * spread, _ROUNDINGS * np.finfo(float).eps / HELD * largest))
     rounded = _ROUNDINGS * np.finfo(float).eps / HELD * rounding
     # One extremely steep row must not loosen the tolerance of the others.
@@ -248,11 +248,15 @@ def rows_of(values: Values) -> tuple[slice, ...]:
 
 
 def row_bounds(
-    constraints: Sequence[Constraint], rows: tuple[slice, ...], scenarios: Scenarios | None
+    constraints: Sequence[Constraint], rows: tuple[slice, ...], scenarios: Scenarios | None, sizes: Sequence[float]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """The lower and upper bounds of all rows, infinite for limits on realisations in slots that do not count."""
-    lower = spread(rows, [float(one.lower) for one in constraints])
-    upper = spread(rows, [float(one.upper) for one in constraints])
+    """The lower and upper bounds of all rows, infinite for limits on realisations in slots that do not count.
+
+    What may be rounding has bounds as wide as this: slopes of rounding would lead a search, and hold a design.
+    """
+    wider = [NOISE if size == OF_ROUNDING else 0.0 for size in sizes]
+    lower = spread(rows, [float(one.lower) - more for one, more in zip(constraints, wider, strict=True)])
+    upper = spread(rows, [float(one.upper) + more for one, more in zip(constraints, wider, strict=True)])
     for one, where in zip(constraints, rows, strict=True):
         if (used := _used(one, scenarios)) is not None:
             empty = ~np.resize(used, where.stop - where.start)

@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import meant, one_of, positive, refusal, shown
+from aleator._core.border import content_of, meant, one_of, positive, refusal, shown
 from aleator._core.errors import ProblemError, optional
 from aleator.foreign._fmu._doors import OwnProcess
 from aleator.foreign._fmu._library import Library
@@ -63,14 +63,13 @@ class Fmu:
         settings = dict(one_of("Fmu: settings", settings or {}, Mapping, "{'stages': 3}"))
         folder = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        self.name, description = path.stem, unpacked(path, folder)
+        # Two files are two models, whatever they are called.
+        self.name, (description, self._digest) = path.stem, unpacked(path, folder)
         self.kind, self.variables = kind_of(self.name, description, kind), Variables(self.name, description)
         self.variables.refuse_settings(settings)
         self._version, self._indicators = description.fmiVersion, int(description.numberOfEventIndicators)
         self.is_exchange = self.kind == "model exchange"
         self.states = self.variables.states() if self.is_exchange else []
-        # Two files are two models, whatever they are called.
-        self._digest = hashlib.sha256(path.read_bytes()).hexdigest()
         self._given = path.absolute(), self.kind, tuple(settings.items()), own_process, limit
         opening = self.name, str(folder), self.is_exchange, settings
         self.door = OwnProcess(*opening, time_limit=limit) if own_process else Library(*opening)
@@ -117,13 +116,14 @@ def _opened_again(
     return fmu
 
 
-def unpacked(path: Path, folder: Path) -> Any:
-    """The model description of an FMU, which is unpacked into a folder.
+def unpacked(path: Path, folder: Path) -> tuple[Any, str]:
+    """The model description of an FMU, which is unpacked into a folder, and the digest of its file.
 
     Raises `ProblemError` for a file that is no FMU of FMI 2 or 3 for this machine; `MissingExtraError` without FMPy.
     """
     fmpy = optional("fmpy", "Fmu", "'aleator[fmu]'")
     try:
+        digest = hashlib.sha256(content_of(path)).hexdigest()
         description = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), str(folder))
         platforms = fmpy.supported_platforms(str(folder))
@@ -139,7 +139,7 @@ def unpacked(path: Path, folder: Path) -> Any:
             f"FMU '{path.stem}': expected a binary for this machine, {fmpy.platform}; it has "
             f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
         )
-    return description
+    return description, digest
 
 
 def kind_of(name: str, description: Any, kind: Any) -> str:

@@ -135,7 +135,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
         evaluator, program = Evaluator(self.traced, discretised, self.evaluator.anchors), self.program
         same = self.scenarios is not None and len(scenarios.used) == len(self.scenarios.used)
         rows = self.rows if same else rows_of(evaluator(program.start).meaning.constraints)
-        lower, upper = row_bounds(self.problem.constraints, rows, scenarios)
+        lower, upper = row_bounds(self.problem.constraints, rows, scenarios, self.scales)
         scales = [float(program.constraint_scale[one.start]) for one in self.rows]
         sizing = replace(self.sizing, rows=rows)
         program = replace(
@@ -216,7 +216,7 @@ class Sequential(AbstractTranscription):
         )
         paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
         nonzero = [one.evaluation.jacobian != 0 for one in (at_start, *beside)]
-        constraint_lower, constraint_upper = row_bounds(problem.constraints, rows, scenarios)
+        constraint_lower, constraint_upper = row_bounds(problem.constraints, rows, scenarios, sizes)
         program = NonlinearProgram(
             evaluate=lambda decisions: evaluator(decisions).evaluation,
             start=start,

@@ -358,7 +358,7 @@ def program_of(
     for phase, own in zip(layout.phases, numbers.phases, strict=True):
         if phase.pointwise.is_open:
             lowest[own.duration], highest[own.duration] = 0.0, float(phase.pointwise.grid.duration)
-    own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
+    own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios, sizes)
     tied = np.zeros(len(rows.ties.variables))
     program = NonlinearProgram(
         evaluate=assembled,
