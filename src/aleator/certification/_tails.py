@@ -25,6 +25,7 @@ from aleator.statistics import (
     AbstractTail,
     ConditionalValueAtRisk,
     Probability,
+    Quantile,
     points_in_tail,
     tail_proposal,
 )
@@ -32,7 +33,7 @@ from aleator.transcription import excess_of
 from aleator.uncertainty import named_numbers
 
 # An error of a statistic that moves an optimum: this part of its distance from the mean or of a tenth of the spread;
-# for a probability, this part of it, which is about as much.
+# for a probability, and for that beyond a quantile, this part of it, which is about as much in a normal distribution.
 _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
 # Fresh systems in a tail: so many at first, unless the first draw shows that a limit cannot hang on them, and so many
 # at most, four times as many each time.
@@ -62,12 +63,19 @@ class _Tail(NamedTuple):
             atom, at, float(check.statistics[atom][entry]), float(functional.mean[at]), float(functional.std[at])
         )
 
-    @property
-    def tolerated(self) -> float:
-        """How wrong the statistic may be."""
+    def tolerated(self, predicted: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+        """How wrong the statistic may be; systems as in `differences`."""
         if isinstance(self.kind, Probability):
             return _OF_A_CHANCE * self.chance
-        return _TOLERATED * self.reach
+        away = _TOLERATED * self.reach
+        is_quantile = isinstance(self.kind, Quantile)
+        return min(away, _OF_A_CHANCE * self.chance / self.density(predicted, weights)) if is_quantile else away
+
+    def density(self, predicted: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+        """The probability density around the statistic."""
+        around = _AROUND * self.reach
+        share = np.average(np.abs(predicted - self.value) < around, weights=weights)
+        return max(float(share) / (2 * around), np.finfo(float).tiny)
 
     @property
     def chance(self) -> float:
@@ -100,9 +108,7 @@ class _Tail(NamedTuple):
             quantile = predicted[order[np.searchsorted(summed, level * summed[-1]).clip(max=len(order) - 1)]]
             short = [np.maximum(sign * (one - quantile), 0.0) for one in (values, predicted)]
             return sign * (short[0] - short[1]) / (level if kind.lower else 1 - level)
-        reach = _AROUND * self.reach
-        density = np.average(np.abs(predicted - self.value) < reach, weights=weights) / (2 * reach)
-        return (1.0 * (predicted < self.value) - 1.0 * (values < self.value)) / max(density, np.finfo(float).tiny)
+        return (1.0 * (predicted < self.value) - 1.0 * (values < self.value)) / self.density(predicted, weights)
 
 
 class KnownStatistics(AbstractScopeOfInstants):
@@ -152,9 +158,9 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
 
             if (atom, entry) not in known:
                 known[atom, entry] = _error(check, tail, matters)
-            error, uncertainty, count = known[atom, entry]
+            error, uncertainty, tolerated, count = known[atom, entry]
             by = abs(error) + 2 * uncertainty
-            if abs(error) <= tail.tolerated and (by <= 3 * tail.tolerated or not matters(by)):
+            if abs(error) <= tolerated and (by <= 3 * tolerated or not matters(by)):
                 continue
             seen = f"{tail.value + error:.4g} ± {2 * uncertainty:.2g}"
             sentence = f"{atom.text()} is {tail.value:.4g} by the expansion, and {seen} by {count} systems in its tail"
@@ -164,8 +170,8 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
                 yield f"'{problem.constraints[which - 1].name}': {sentence}", matters(by)
 
 
-def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple[float, float, int]:
-    """The error of a statistic by fresh systems in its tail, its standard error, and their number.
+def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple[float, float, float, int]:
+    """The error of a statistic by fresh systems in its tail, its standard error, what is tolerated, and their number.
 
     `matters`: whether the answer may hang on an error, below which no more systems are drawn.
     """
@@ -183,13 +189,15 @@ def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple
         each, share = tail.differences(values, predicted, weights), weights / weights.sum()
         error = float(share @ each)
         uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))
-        is_clear = len(values) >= _FIRST and abs(abs(error) - tail.tolerated) > 2 * uncertainty
+        tolerated = tail.tolerated(predicted, weights)
+        is_clear = len(values) >= _FIRST and abs(abs(error) - tolerated) > 2 * uncertainty
         is_harmless = not matters(abs(error) + 2 * uncertainty)
         if is_clear or is_harmless or len(values) >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
             value, half = evaluate(_estimated, tail.kind, jax_array(coefficients), lines, use=Use.BRIEF)
-            return error + float(value) - tail.value, float(np.hypot(uncertainty, float(half) / 2)), len(values)
+            whole = error + float(value) - tail.value
+            return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, len(values)
         least = max(4 * len(values), _FIRST)
 
 
