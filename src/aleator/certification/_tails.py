@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array
-from aleator._core.compilation import Use, evaluate
 from aleator.certification._check import ROUNDING, Check
 from aleator.certification._fresh import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, statistics_in
@@ -195,14 +194,10 @@ def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple
         if is_clear or is_harmless or len(values) >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
-            value, half = evaluate(_estimated, tail.kind, jax_array(coefficients), lines, use=Use.BRIEF)
+            value, half = tail.kind.estimated(jax_array(coefficients), lines)
             whole = error + float(value) - tail.value
             return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, len(values)
         least = max(4 * len(values), _FIRST)
-
-
-def _estimated(kind: AbstractTail, coefficients: Array, lines: Any) -> tuple[Array, Array]:
-    return kind.estimated(coefficients, lines)
 
 
 def _effect(check: Check, expression: Expression, moved: Statistic, by: float) -> float:

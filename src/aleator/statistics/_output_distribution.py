@@ -130,8 +130,11 @@ class OutputDistribution(NamedTuple):
         is_lower = jnp.asarray(level) < 0.5
         sign, tail = self._side(is_lower)
         quantile, at = tail.quantile(jnp.where(is_lower, level, 1 - level))
-        error = tail.error(at) / jnp.where(at.density > 0, at.density, jnp.inf)
-        return Estimate(self.coefficients[0] + sign * quantile, error)
+        share = tail.error(at)
+        error = share / jnp.where(at.density > 0, at.density, jnp.inf)
+        # Where few lines meet a tail, the density there says nothing of how far others would move it.
+        is_doubtful = share > jnp.where(is_lower, level, 1 - level) / 2
+        return Estimate(self.coefficients[0] + sign * quantile, jnp.where(is_doubtful, jnp.abs(quantile), error))
 
     def mean_beyond(self, level: Scalar, *, lower: bool) -> Estimate:
         """The mean of the values below a quantile, or above it."""
