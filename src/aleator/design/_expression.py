@@ -174,8 +174,10 @@ class Composed(AbstractComposite):
     expressions: tuple[Expression, ...]
 
     @override
+    @quietly
     def evaluate(self, scope: AbstractScope) -> Array:
-        return self.rule.of(*(one.evaluate(scope) for one in self.expressions))
+        _, *values = in_library(*(one.evaluate(scope) for one in self.expressions))
+        return jax_array(self.rule.of(*values))
 
     @override
     def text(self) -> str:

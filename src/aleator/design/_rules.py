@@ -9,9 +9,12 @@ from typing import ClassVar, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
@@ -141,7 +144,7 @@ class Norm(AbstractRounded):
     @override
     def of(self, *values: Array) -> Array:
         s = self.smoothing
-        return root(sum((one**2 for one in values), start=jnp.asarray(s**2))) - s
+        return root(sum((one**2 for one in values[1:]), start=values[0] ** 2) + s**2) - s
 
     @override
     def sharp(self, *texts: str) -> str:
@@ -161,10 +164,12 @@ class Extremum(AbstractRounded):
 
     @override
     def of(self, *values: Array) -> Array:
-        every = self.side * jnp.stack(jnp.broadcast_arrays(*values))
+        library, values = in_library(values)
+        every = self.side * library.stack(library.broadcast_arrays(*values))
         if not self.smoothing:
             return self.side * every.max(axis=0)
-        return self.side * self.smoothing * jax.nn.logsumexp(every / self.smoothing, axis=0)
+        sums = scipy.special.logsumexp if library is np else jax.nn.logsumexp
+        return self.side * self.smoothing * sums(every / self.smoothing, axis=0)
 
     @override
     def sharp(self, *texts: str) -> str:
@@ -183,8 +188,8 @@ class PositivePart(AbstractRounded):
 
     @override
     def of(self, *values: Array) -> Array:
-        (one,) = values
-        return (one + root(one**2 + self.smoothing**2)) / 2 if self.smoothing else jnp.maximum(one, 0.0)
+        library, one = in_library(*values)
+        return (one + root(one**2 + self.smoothing**2)) / 2 if self.smoothing else library.maximum(one, 0.0)
 
     @override
     def sharp(self, *texts: str) -> str:
@@ -202,7 +207,7 @@ class Own(AbstractRule):
 
     @override
     def of(self, *values: Array) -> Array:
-        return jnp.vectorize(self._of_numbers)(*values)
+        return jnp.vectorize(self._of_numbers)(*map(jax_array, values))
 
     def _of_numbers(self, *numbers: Array) -> Array:
         who = f"The function '{self._name}'"
