@@ -7,6 +7,7 @@ from functools import partial
 
 import equinox as eqx
 import jax
+import numpy as np
 
 from aleator._core.compilation import Use
 
@@ -19,7 +20,8 @@ compiled = partial(jax.jit, compiler_options=Use.ONCE.value if _IS_CPU else {})
 def answers(one, questions):
     """What an object answers to every question, by one program; its arrays are arguments, which XLA does not fold."""
     arrays, rest = eqx.partition(one, eqx.is_array)
-    return compiled(lambda arrays: [ask(eqx.combine(arrays, rest)) for ask in questions])(arrays)
+    found = compiled(lambda arrays: [ask(eqx.combine(arrays, rest)) for ask in questions])(arrays)
+    return jax.tree.map(np.asarray, found)
 
 
 @contextlib.contextmanager

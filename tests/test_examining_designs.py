@@ -9,6 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.studies._check import Check
+from zoo import algebraic
 
 
 class Rule(al.AlgebraicSystem):
@@ -39,28 +40,35 @@ def off(a):
 off.defjvp(lambda primal, tangent: (jnp.exp(*primal), 1.01 * jnp.exp(*primal) * tangent[0]))
 
 
-def kink_beside(away):
-    return lambda a, b: jnp.abs(a - 0.5 - away) + a**4 + b
+@algebraic
+def faulty(a, b, away, weights):
+    """A rule that stops a gradient solver: which one, and how far away from the start, is data."""
+    kink, jump = jnp.abs(a - 0.5 - away) + a**4, jnp.where(a < 0.5 + away, 0.0, 1.0) + a**4
+    rules = kink, jump, jax.lax.stop_gradient(a) ** 2, off(a)
+    return {"y": sum(weight * rule for weight, rule in zip(weights, rules, strict=True)) + b}
 
 
-def jump_beside(away):
-    return lambda a, b: jnp.where(a < 0.5 + away, 0.0, 1.0) + a**4 + b
-
-
+# The rule of each, and how far away.
 RULES = {
-    "kink": kink_beside(0.0),
-    "kink close by": kink_beside(1e-9),
-    "jump": jump_beside(0.0),
-    "jump close by": jump_beside(-1e-7),
-    "wrong": lambda a, b: jax.lax.stop_gradient(a) ** 2 + b,
-    "wrong by little": lambda a, b: off(a) + b,
+    "kink": (0, 0.0),
+    "kink close by": (0, 1e-9),
+    "jump": (1, 0.0),
+    "jump close by": (1, -1e-7),
+    "wrong": (2, 0.0),
+    "wrong by little": (3, 0.0),
 }
+
+
+def fault(what, a=0.5, b=0.3):
+    """The model of one of the rules, at some decisions."""
+    rule, away = RULES[what]
+    return faulty(al.Decision(a, -2.0, 2.0), al.Decision(b, -2.0, 2.0), away, np.eye(4)[rule].tolist())
 
 
 @pytest.mark.parametrize("what", RULES)
 def test_what_stops_a_gradient_solver_is_named_with_its_decision_in_objective_and_limit(what):
     y = al.output("y").mean
-    told = al.examine(al.Problem(Rule(RULES[what]), minimize=y, subject_to=[(y <= 9.0).named("limit")]))
+    told = al.examine(al.Problem(fault(what), minimize=y, subject_to=[(y <= 9.0).named("limit")]))
     kinds = {"kink": told.kinks, "jump": told.jumps, "wrong": told.wrong}
     by_objective, by_limit = kinds.pop(what.split()[0])
     assert by_objective.startswith("objective μ[y], by a")
@@ -96,7 +104,7 @@ def test_a_smooth_problem_has_nothing_to_tell_and_at_a_bound_one_side_is_enough(
     assert found.effects[1, 0] == pytest.approx(found.effects[1, 1])
     at_bound = {"a": al.Decision(-2.0, -2.0, 2.0), "b": al.Decision(2.0, -2.0, 2.0)}
     assert al.examine(of(lambda a, b: a**2 + jnp.exp(b), **at_bound)).ok
-    assert al.examine(of(RULES["wrong"], **at_bound)).wrong
+    assert al.examine(al.Problem(fault("wrong", -2.0, 2.0), minimize=al.output("y").mean)).wrong
 
 
 @pytest.mark.slow

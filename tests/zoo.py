@@ -368,7 +368,7 @@ def histories(problem, germs):
     """The outputs of some realisations at the initial decisions."""
     start = jax_array(problem.placements.vector("initial"))
     every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
-    return jax.jit(every)(jnp.asarray(germs))
+    return jax.tree.map(np.asarray, jax.jit(every)(np.asarray(germs, dtype=float)))
 
 
 def algebraic(outputs: Callable[..., dict[str, Any]]) -> type[Any]:

@@ -49,22 +49,31 @@ def test_zones_add_up_and_contributions_are_all_of_the_variance(normal_stack):
     assert normal_stack.contributions["plate"].sensitivity == pytest.approx(-2.0, rel=1e-12)
 
 
+@algebraic
+def curved(a, b, weights):
+    """A rule of two dimensions: which one, is data."""
+    rules = b * jnp.exp(3 * a), b * (1 - jnp.cos(a)), b + 0.4 * jnp.sin(8 * a), jnp.exp(a)
+    return {"y": sum(weight * one for weight, one in zip(weights, rules, strict=True))}
+
+
+def curved_assembly(rule, *zones):
+    """An assembly by one of the rules, each dimension with its nominal value and its tolerance."""
+    return curved(*(al.Toleranced(one, tolerance=width) for one, width in zones), np.eye(4)[rule].tolist())
+
+
 @pytest.mark.parametrize(
-    ("output", "first", "second", "ends"),
+    ("rule", "first", "second", "ends"),
     [
         # At corners, far from what a polynomial says there; at the nominal; inside of one zone, with four extremes.
-        (lambda a, b: b * jnp.exp(3 * a), (0.0, 0.6), (1.0, 0.1), (0.9 * np.exp(-1.8), 1.1 * np.exp(1.8))),
-        (lambda a, b: b * (1 - jnp.cos(a)), (0.0, 0.3), (10.0, 0.1), (0.0, 10.1 * (1 - np.cos(0.3)))),
-        (lambda a, b: b + 0.4 * jnp.sin(8 * a), (0.1, 0.2), (1.0, 0.02), (0.98 + 0.4 * np.sin(-0.8), 1.42)),
+        (0, (0.0, 0.6), (1.0, 0.1), (0.9 * np.exp(-1.8), 1.1 * np.exp(1.8))),
+        (1, (0.0, 0.3), (10.0, 0.1), (0.0, 10.1 * (1 - np.cos(0.3)))),
+        (2, (0.1, 0.2), (1.0, 0.02), (0.98 + 0.4 * np.sin(-0.8), 1.42)),
     ],
 )
-def test_the_worst_case_is_the_range_of_the_assembly_itself(output, first, second, ends):
-    model = algebraic(lambda a, b: {"y": output(a, b)})
+def test_the_worst_case_is_the_range_of_the_assembly_itself(rule, first, second, ends):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", al.ExpansionWarning)
-        analysis = al.tolerance_analysis(
-            model(*(al.Toleranced(one[0], tolerance=one[1]) for one in (first, second))), "y", lower=-1.0
-        )
+        analysis = al.tolerance_analysis(curved_assembly(rule, first, second), "y", lower=-1.0)
     assert analysis.worst_case == pytest.approx(ends, rel=1e-9, abs=1e-12)
 
 
@@ -111,10 +120,7 @@ def test_rejects_of_the_clutch_are_those_of_its_closed_form():
 
 def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly():
     """A lognormal gap, whose expansion of order 3 has four times as many rejects below."""
-    gap = al.Normal(0.0, 0.3)
-    analysis = al.tolerance_analysis(
-        {"a": gap, "b": al.Normal(1.0, 0.05)}, lambda at: jnp.exp(at["a"]) + 0 * at["b"], lower=0.3, upper=3.0
-    )
+    analysis = al.tolerance_analysis(curved_assembly(3, (0.0, 0.9), (1.0, 0.15)), "y", lower=0.3, upper=3.0)
     exact = 1e6 * np.array([stats.norm.cdf(np.log(0.3) / 0.3), stats.norm.sf(np.log(3.0) / 0.3)])
     found = np.array([analysis.rejects_low, analysis.rejects_high])
     assert np.abs(found - exact).max() < analysis.rejects_error

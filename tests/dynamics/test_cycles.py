@@ -177,18 +177,21 @@ def gait():
     return hips, *map(np.asarray, jax.jit(jax.vmap(one))(hips))
 
 
+RATES = jax.jit(lambda hip, z: jnp.stack(walking(hip, 5.0, z)))
+AFTER = jax.jit(lambda hip, apart, swing_rate, stance_rate: struck(hip, 5.0, apart, swing_rate, stance_rate))
+
+
 def by_scipy(hip, slope=SLOPE):
     """The same by SciPy: the period, the first rate of the stance leg, and the derivatives of a step by differences."""
-    rates = jax.jit(lambda z: jnp.stack(walking(hip, 5.0, z)))
     strike: Any = lambda t, z: z[0] + z[1] + 2 * slope if t > 0.4 else 1.0  # noqa: E731
     strike.terminal, strike.direction = True, -1
 
     def step(z):
         ran = scipy.integrate.solve_ivp(
-            lambda t, z: np.asarray(rates(z)), (0, 2), z, "DOP853", events=strike, rtol=1e-11, atol=1e-12
+            lambda t, z: np.asarray(RATES(hip, z)), (0, 2), z, "DOP853", events=strike, rtol=1e-11, atol=1e-12
         )
         swing, stance, *before = ran.y[:, -1]
-        return np.array([stance, swing, *struck(hip, 5.0, swing - stance, *before)]), ran.t[-1]
+        return np.array([stance, swing, *map(float, AFTER(hip, swing - stance, *before))]), ran.t[-1]
 
     z = scipy.optimize.fsolve(lambda z: step(z)[0] - z, [-0.3234, 0.2187, -0.377, -1.092], xtol=1e-9)
     slopes = [(step(z + d)[0] - step(z - d)[0]) / 2e-6 for d in 1e-6 * np.eye(4)]

@@ -25,7 +25,7 @@ def expanded() -> al.results.Expanded:
 
 @cache
 def tolerances() -> al.results.ToleranceAnalysis:
-    parts = {"housing": al.Normal(10.0, 0.06), "plate": al.Normal(4.0, 0.04)}
+    parts = {"housing": al.Toleranced(10.0, tolerance=0.18), "plate": al.Toleranced(4.0, tolerance=0.12)}
     gap = al.Assembly(dimensions=parts, features={"gap": "housing - 2*plate"})
     return al.tolerance_analysis(gap, "gap", lower=1.8, upper=2.2)
 

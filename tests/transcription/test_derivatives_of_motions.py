@@ -1,5 +1,7 @@
 """Motion plans: derivatives instant by instant, their sparsity, and torques that follow from those at a few points."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -154,11 +156,17 @@ def test_what_is_affine_in_features_of_the_germ_follows_from_a_few_points():
 
 def test_what_is_not_affine_is_never_taken_to_be_and_outputs_are_told_apart():
     functions = {f"{i} {name}": rule for i, rules in enumerate((AFFINE, OTHER)) for name, rule in rules.items()}
-    germ, moved = jnp.asarray([0.3, 0.4]), jnp.asarray([1.1, 2.0])
-    _, affine = affine_features(lambda *at: [rule(*at) for rule in functions.values()], germ, moved)
-    assert dict(zip(functions, affine, strict=True)) == {name: name.startswith("0") for name in functions}
-    features, _ = affine_features(lambda *at: [AFFINE["the germ alone"](*at), OTHER["a root"](*at)], germ, moved)
-    np.testing.assert_allclose(features, [0.12])
+    at, told = (np.array([0.3, 0.4]), np.array([1.1, 2.0])), []
+
+    def features(rules, *at):
+        values, affine = affine_features(lambda *at: [rule(*at) for rule in rules], *at)
+        told.append(affine)
+        return values
+
+    jax.eval_shape(partial(features, functions.values()), *at)
+    assert dict(zip(functions, told[0], strict=True)) == {name: name.startswith("0") for name in functions}
+    some = compiled(partial(features, [AFFINE["the germ alone"], OTHER["a root"]]))
+    np.testing.assert_allclose(some(*at), [0.12])
 
 
 def test_points_that_are_all_needed_are_all_kept():

@@ -10,6 +10,7 @@ import scipy.stats
 import aleator as al
 from aleator.certification._fresh import fresh_systems
 from aleator.certification._second_opinion import _quantile
+from compiling import compiled
 from zoo import LOSS, ONE_STEP, algebraic, gain_problem
 
 BOUND = 2.0
@@ -132,7 +133,7 @@ def test_a_rare_event_that_breaks_a_limit_is_drawn_more_often_before_the_design_
     )
     solution = al.solve(problem, throw=False)
     levels = (np.arange(10**5) + 0.5) / 1e5
-    true = np.asarray(solution.decisions["k"] * spiked(levels, centre, height))
+    true = solution.decisions["k"] * np.asarray(compiled(spiked)(levels, centre, height))
     assert true.mean() + sigmas * true.std() > 1.2 * 5.0
     assert not solution.ok
     assert "fresh simulations contradict" in solution.why()

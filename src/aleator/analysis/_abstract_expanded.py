@@ -12,7 +12,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Float
@@ -270,7 +269,7 @@ def _inverted(name: str, distribution: AbstractDistribution, germ: AbstractGerm,
     """The germ value at which a distribution has a given value, found by bracketing: it increases with its germ."""
 
     def excess(point: float) -> float:
-        return float(jax.lax.stop_gradient(distribution.realised((jnp.asarray(point),)))) - value
+        return float(jax.lax.stop_gradient(distribution.realised((jax_array(point),)))) - value
 
     low, high = (
         end if np.isfinite(end) else float(germ.quantile(np.array(level)))

@@ -215,7 +215,7 @@ def galerkin(
         raise ProblemError("galerkin: an Adaptive index set needs samples; expected a fixed one, such as TotalDegree.")
     basis = Basis(places.germs, expansion.index_set.indices(places.germ_names, expansion.order))
     quadrature = quadrature_over(basis, expansion)
-    decisions = jnp.asarray(places.vector("initial"))
+    decisions = jax_array(places.vector("initial"))
     numbers, rest = eqx.partition(numbers_to_arrays((model, grid)), eqx.is_array)
 
     def projected(numbers: Pytree, quadrature: Quadrature) -> dict[str, Array]:

@@ -295,7 +295,9 @@ def _worst_case(function: Callable[[Any], Any], model: Pytree, nominal: float) -
     sampler, generator = Sampler(function, model, traced=True), np.random.default_rng(0)
     count = len(sampler.places.germs)
     corners = np.array(list(product((-1.0, 1.0), repeat=count))) if count <= _MOST_CORNERS else np.zeros((0, count))
-    points = np.concatenate([corners, np.zeros((1, count)), generator.uniform(-1.0, 1.0, (_SPREAD, count))])
+    fixed = np.concatenate([corners, np.zeros((1, count))])
+    size = _SPREAD + max(len(fixed), 2 * count)  # of every round, for one compiled program
+    points = np.concatenate([fixed, generator.uniform(-1.0, 1.0, (size - len(fixed), count))])
 
     def furthest(sign: float) -> float:
         """One end: each dimension is moved to its ends, and all within smaller and smaller boxes about the best."""
@@ -308,7 +310,8 @@ def _worst_case(function: Callable[[Any], Any], model: Pytree, nominal: float) -
                 best, height = tried[np.argmax(heights)], float(heights.max())
             ends = np.repeat(best[None], 2 * count, axis=0)
             ends[np.arange(2 * count), np.arange(2 * count) // 2] = np.tile([-1.0, 1.0], count)
-            tried = np.clip(best + reach * generator.uniform(-1.0, 1.0, (_SPREAD, count)), -1.0, 1.0)
+            spread = generator.uniform(-1.0, 1.0, (size - len(ends), count))
+            tried = np.clip(best + reach * spread, -1.0, 1.0)
             tried = np.concatenate([tried, ends])
         return sign * height
 
@@ -320,7 +323,8 @@ def _beyond(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """The probabilities of less than the lower limit and of more than the upper one, with their 95 % half-widths."""
     limits = [limit for limit in (lower, upper) if np.isfinite(limit)]
-    levels = dict(zip(limits, np.asarray(expanded.cdf(jax_array(limits, float))).tolist(), strict=True))
+    # Two values, so that one program serves analyses with one limit and with two.
+    levels = dict(zip(limits, np.asarray(expanded.cdf(jax_array(np.resize(limits, 2)))).tolist(), strict=False))
     nothing = 0.0, 0.0
     low = _in_tail(expanded, sampler, Probability(below=lower), levels[lower]) if lower in levels else nothing
     high = _in_tail(expanded, sampler, Probability(above=upper), 1 - levels[upper]) if upper in levels else nothing

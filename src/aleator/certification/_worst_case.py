@@ -218,7 +218,7 @@ def worst_case_of(
                 value=float(reached.value[k, i]),
                 beyond=float(reached.beyond[k, i]),
                 time=None if np.isnan(time) else time,
-                numbers=inputs_at(transcribed.places, germ[k], jnp.asarray(decisions)),
+                numbers=inputs_at(transcribed.places, germ[k], jax_array(decisions)),
             )
         )
     return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.simulated, is_found)

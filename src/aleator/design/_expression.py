@@ -174,9 +174,10 @@ class Composed(AbstractComposite):
     expressions: tuple[Expression, ...]
 
     @override
+    @quietly
     def evaluate(self, scope: AbstractScope) -> Array:
         _, *values = in_library(*(one.evaluate(scope) for one in self.expressions))
-        return self.rule.of(*values)
+        return jax_array(self.rule.of(*values))
 
     @override
     def text(self) -> str:

@@ -118,7 +118,7 @@ def history(problem: AbstractProblem, germ: Float[Array, " variables"], decision
 
 def grid_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> AbstractGrid:
     """The problem's grid, with the decided final time; the latest one where an event ends it."""
-    return realise(at_means(problem.simulation), jnp.zeros(0), decisions).grid
+    return realise(at_means(problem.simulation), jax_array(np.zeros(0)), decisions).grid
 
 
 def _instants(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:

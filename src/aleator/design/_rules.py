@@ -9,6 +9,8 @@ from typing import ClassVar, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -169,7 +171,8 @@ class Extremum(AbstractRounded):
         every = self.side * library.stack(library.broadcast_arrays(*values))
         if not self.smoothing:
             return self.side * every.max(axis=0)
-        return self.side * self.smoothing * jax.nn.logsumexp(every / self.smoothing, axis=0)
+        sums = scipy.special.logsumexp if library is np else jax.nn.logsumexp
+        return self.side * self.smoothing * sums(every / self.smoothing, axis=0)
 
     @override
     def sharp(self, *texts: str) -> str:

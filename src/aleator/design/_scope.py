@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, in_library, jax_array
 from aleator._core.border import real_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
@@ -49,7 +48,8 @@ class AbstractScopeOfInstants(AbstractScope):
 
     @override
     def time_integral(self, expression: Any) -> Float[Array, "..."]:
-        return self.step * jnp.trapezoid(expression.evaluate(self), axis=0)
+        library, step, values = in_library(self.step, expression.evaluate(self))
+        return jax_array(step * library.trapezoid(values, axis=0))
 
 
 class Units(NamedTuple):

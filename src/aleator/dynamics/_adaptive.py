@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core import border
+from aleator._core.compilation import Use, evaluate
 from aleator._core.dependence import dependence
 from aleator.dynamics._crossings import Course
 from aleator.dynamics._evaluation import explain_from, initial_state
@@ -87,10 +88,15 @@ class AbstractAdaptive(AbstractIntegrator):
     @override
     def explain_given_up(self, system: System, grid: Grid, inputs: Inputs, one: Course, t: float) -> str:
         name, now, last = type(self).__name__, inputs_on(grid, inputs), float(grid.t_final)
-        states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))
-        arrived = named(one.end[: states.size])
-        if system.algebraic and (failure := explain_from(system, t, arrived, float(grid.step), now)):
-            return failure
+
+        def arrived(end: Vector) -> Any:
+            states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))
+            return named(end[: states.size])
+
+        if system.algebraic:
+            z = evaluate(arrived, one.end, use=Use.ONCE)
+            if failure := explain_from(system, t, z, float(grid.step), now):
+                return failure
         if self.rtol < _TIGHTEST_RELATIVE:
             return (
                 f"{name} stops at t = {t:.4g} s, where rounding is larger than its tolerances: give it "

@@ -6,10 +6,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator.dynamics._evaluation import as_equations, as_outputs, starting
 from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
@@ -132,17 +134,22 @@ def explain_failure(system: AlgebraicSystem) -> str:
 
     Empty if it does not fail. Not traceable: call it for the one realisation at fault.
     """
-    guess = first_guess(system)
     if not system.unknowns:
         return ""
-    _, named = ravel_pytree(guess)
-    root = jax.jit(lambda: _root(system, guess)[0])()
+    root, reached, guess = jax.tree.map(np.asarray, evaluate(_tried, system, use=Use.ONCE))
     if root.converged:
         return ""
     return (
         f"{system.title}: Newton found no solution at {listed(numbers_in(system)) or 'any numbers'}. "
-        f"{failure_text(root, named, guess)} Check whether a solution exists there, and guess closer to it."
+        f"{failure_text(root, reached, guess)} Check whether a solution exists there, and guess closer to it."
     )
+
+
+def _tried(system: AlgebraicSystem) -> tuple[Root, Any, Any]:
+    """Where Newton's method ends, the unknowns there, and the guess from which it begins."""
+    guess = first_guess(system)
+    root, named = _root(system, guess)
+    return root, named(root.point), guess
 
 
 def _declares(system: AlgebraicSystem, part: str) -> bool:

@@ -18,7 +18,9 @@ from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import traceable
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator.dynamics._grid import Grid, inputs_on
 from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
@@ -226,18 +228,18 @@ def explain_algebraic(
     """
     now = inputs_on(grid, inputs)
     times = np.asarray(grid.times)
-    _, named = ravel_pytree(initial_state(system, times[0], now(times[0])))
 
-    @jax.jit
-    @jax.vmap
-    def solvable(t: Array, row: Array) -> Array:
-        return jnp.isfinite(row).all() & solved_algebraic(system, t, named(row), now(t))[0].converged
+    def solvable(t: Array, row: Array) -> tuple[Array, Any]:
+        _, named = ravel_pytree(initial_state(system, t, now(t)))
+        z = named(row)
+        return jnp.isfinite(row).all() & solved_algebraic(system, t, z, now(t))[0].converged, z
 
-    good = np.asarray(solvable(jnp.asarray(times), jnp.asarray(course)))
-    if good.all():
+    good, states = evaluate(jax.vmap(solvable), jax_array(times), jax_array(course), use=Use.ONCE)
+    if np.all(good):
         return ""
     last = max(int(np.argmin(good)) - 1, 0)
-    return explain_from(system, float(times[last]), named(jnp.asarray(course[last])), float(grid.step), now)
+    z = jax.tree.map(lambda one: np.asarray(one)[last], states)
+    return explain_from(system, float(times[last]), z, float(grid.step), now)
 
 
 def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[Any], dict[str, Array]]) -> str:
@@ -247,26 +249,25 @@ def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[A
     """
     shares = np.arange(_LOOKED_AT + 1) / _LOOKED_AT
 
-    @jax.jit
-    @jax.vmap
-    def onward(share: Array) -> tuple[Root, Any, Any, Array]:
+    def onward(share: Array, t: Array, z: Any) -> tuple[Root, Any, Any, Any, Array]:
         """The solution on the tangent to the course."""
         later, slope = t + share * step, derivative(system, t, z, now(t))
         place = jax.tree.map(lambda one, change: one + jnp.where(share > 0, share * step * change, 0.0), z, slope)
         at = system, later, place, now(later)
-        root = solved_algebraic(*at)[0]
-        return root, place, guessed_algebraic(*at), root.converged
+        root, guess = solved_algebraic(*at)[0], guessed_algebraic(*at)
+        return root, ravel_pytree(guess)[1](root.point), place, guess, root.converged
 
-    *places, converged = jax.tree.map(np.asarray, onward(jnp.asarray(shares)))
+    tried = evaluate(jax.vmap(onward, (0, None, None)), jax_array(shares), t, numbers_to_arrays(z), use=Use.ONCE)
+    *places, converged = jax.tree.map(np.asarray, tried)
     if converged.all():
         return ""
     first = int(np.argmin(converged))
-    root, place, guess = jax.tree.map(lambda one: one[first], places)
+    root, reached, place, guess = jax.tree.map(lambda one: one[first], places)
     numbers = listed({**place._asdict(), **numbers_in(system)})
     return (
         f"{system.title}: its algebraic variables have no solution at about t = "
         f"{t + shares[first] * step:.4g} s{f', with {numbers}' if numbers else ''}. "
-        f"{failure_text(root, ravel_pytree(guess)[1], guess)} {_remedy(root)}"
+        f"{failure_text(root, reached, guess)} {_remedy(root)}"
     )
 
 

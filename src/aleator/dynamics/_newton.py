@@ -10,7 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.arrays import Pytree, is_number, numbers_to_arrays
+from aleator._core.arrays import Pytree, in_library, is_number, numbers_to_arrays
 from aleator._core.leaves import Known, named_leaves
 
 Vector: TypeAlias = Float[Array, " n"]
@@ -71,7 +71,8 @@ class Root(NamedTuple):
     @property
     def converged(self) -> Bool[Any, ""]:
         """Whether `point` is an isolated solution."""
-        return self.regular & (self.step <= _CLOSE) & jnp.isfinite(self.point).all()
+        library, point = in_library(self.point)
+        return self.regular & (self.step <= _CLOSE) & library.isfinite(point).all()
 
 
 class _Balanced(NamedTuple):
@@ -293,14 +294,14 @@ def constant_terms(equations: Callable[[Pytree], Float[Array, " n"]], known: Pyt
     return jnp.nan_to_num(jnp.abs(along).max(axis=0), nan=0.0, posinf=0.0)
 
 
-def failure_text(root: Root, named: Named, guess: Any) -> str:
-    """Where Newton's method went from a guess, and what is left of the equations there."""
+def failure_text(root: Root, reached: Any, guess: Any) -> str:
+    """Where Newton's method went from a guess to other unknowns, as named tuples, and what is left of the equations."""
     worst = int(np.argmax(np.nan_to_num(np.abs(root.relative), nan=np.inf)))
     count = root.relative.size
     every = ", ".join(f"{float(one):.3g}" for one in np.asarray(root.residuals))
     return (
         f"From the guess {listed(guess._asdict())} it reached in {int(root.steps)} steps "
-        f"{listed(named(root.point)._asdict())}, where equation {worst + 1} of {count} is left with a residual of "
+        f"{listed(reached._asdict())}, where equation {worst + 1} of {count} is left with a residual of "
         f"{float(root.residuals[worst]):.3g}{f' (all: {every})' if 1 < count <= _LISTED else ''}{_remark(root)}."
     )
 

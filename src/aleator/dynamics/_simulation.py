@@ -10,6 +10,7 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 from typing_extensions import override
@@ -299,7 +300,7 @@ class Simulation(AbstractPlanned):
         if why or not self.grid.periodic:
             return why
         rows = evaluate(lambda: self.record(ONLY_STATES).history[STATES], use=Use.ONCE)
-        if jnp.isfinite(rows).all():
+        if np.isfinite(np.asarray(rows)).all():
             return ""
         grid, inputs = self.grid, self.signals(system)
         is_timed = not evaluate(lambda: repeats(system, grid, inputs), use=Use.ONCE)

@@ -154,7 +154,7 @@ class AbstractEnsemble(abc.ABC):
 
     def _at(self, model: Pytree, decisions: Float[Array, " n_x"], point: Any, library: Any) -> Pytree:
         """The outputs at one realisation, as arrays of `library`."""
-        realised = self._given(realised_over(model, jnp.asarray(point), decisions))
+        realised = self._given(realised_over(model, jax_array(point), decisions))
         return outputs_of(self._function, realised, library, None if self.at_once else lambda: self._place(point))
 
     def _place(self, point: Any) -> str:
@@ -171,7 +171,7 @@ class AbstractEnsemble(abc.ABC):
             raise ProblemError(f"{self._name} returns nothing; expected an array or a dict of arrays.")
 
         def inputs(index: int) -> str:
-            return listed(inputs_at(self.places, points[index], self._decisions))
+            return listed(inputs_at(self.places, np.asarray(points)[index], self._decisions))
 
         refuse_nonfinite(self._name, outputs, inputs, before)
         return outputs
@@ -299,10 +299,10 @@ class BoxEnsemble(AbstractEnsemble):
         return _stacked([output for output in outputs if output is not None]), present
 
     def _realisations(self, points: Points, before: int) -> list[Realisation]:
-        return [self._realisation(number, point) for number, point in enumerate(points, before + 1)]
+        return [self._realisation(number, point) for number, point in enumerate(np.asarray(points), before + 1)]
 
     def _realisation(self, number: int, point: Any) -> Realisation:
-        model = jax.tree.map(_as_python, realised_over(self._model, jnp.asarray(point), self._decisions))
+        model = jax.tree.map(_as_python, realised_over(self._model, jax_array(point), self._decisions))
         numbers = dict(zip(self._names, jax.tree.leaves(model), strict=True))
         named = {name: float(numbers[name]) for name in self.places.distributions if name in numbers}
         return Realisation(number, model, named)

@@ -156,7 +156,8 @@ class Linearised(Module):
     def rss(self, limits: Mapping[str, Scalar]) -> Pytree:
         """The statistical deviation `sqrt(sum (S_i T_i)^2)` (root sum square), as for independent inputs."""
         tolerances = self._tolerances("rss", limits)
-        return jax.tree.map(lambda leaf: root(_product(tolerances**2, leaf**2)), self.jacobian)
+        _, tolerances, jacobian = in_library(tolerances, self.jacobian)
+        return jax.tree.map(lambda leaf: root(_product(tolerances**2, leaf**2)), jacobian)
 
     def _shares(self) -> Pytree:
         def shares(slopes: Any) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, InElements, PiecewiseBasis, in_each
@@ -292,7 +292,8 @@ class Supremum(AbstractExtreme):
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """The largest value of the sample, which is never more than the supremum."""
-        return jnp.max(values, axis=0)
+        library, values = in_library(values)
+        return jax_array(library.max(values, axis=0))
 
 
 @final
@@ -308,4 +309,5 @@ class Infimum(AbstractExtreme):
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """The smallest value of the sample, which is never less than the infimum."""
-        return jnp.min(values, axis=0)
+        library, values = in_library(values)
+        return jax_array(library.min(values, axis=0))

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float, Int
 
-from aleator._core.arrays import jax_array
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
@@ -127,9 +127,10 @@ class Lines(Module):
     @property
     def coarser(self) -> "Lines":
         """Some replicates of the lines, or a coarser grid."""
-        if len(self.normals) > _ON_A_GRID:
-            return replace(self, normals=self.normals[:, : REPLICATES // _COARSER])
-        return replace(self, normals=self.normals[:, :, ::_COARSER], cells=self.cells // _COARSER)
+        _, normals = in_library(self.normals)
+        if len(normals) > _ON_A_GRID:
+            return replace(self, normals=jax_array(normals[:, : REPLICATES // _COARSER]))
+        return replace(self, normals=jax_array(normals[:, :, ::_COARSER]), cells=self.cells // _COARSER)
 
     def values(self, coefficients: Float[Array, " terms"], normal: Float[Array, "variables n"]) -> Float[Array, " n"]:
         """The expansion at points of the normal variables."""

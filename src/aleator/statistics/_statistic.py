@@ -292,6 +292,7 @@ class Correlation(AbstractStatistic):
     @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
+        _, coefficients = in_library(coefficients)
         return _cosine(coefficients[1:])
 
     @override

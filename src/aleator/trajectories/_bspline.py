@@ -133,8 +133,8 @@ class BSpline(AbstractTrajectory):
 
     def hull(self, duration: Any = 1.0, order: int = 0) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """Lower and upper bounds of the curve, or of a time derivative, at all times: those of its control points."""
-        points = self.control_points(duration, order)
-        return jnp.min(points, axis=0), jnp.max(points, axis=0)
+        library, points = in_library(self.control_points(duration, order))
+        return jax_array(library.min(points, axis=0)), jax_array(library.max(points, axis=0))
 
     def _conditions(self, duration: Any) -> Any:
         """The conditions at the start, the free control points, the conditions at the end: shape (count, ...).

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Self, final
 
-import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, in_library
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
@@ -153,7 +152,7 @@ class Beta(AbstractFamily):
         transport=_beta_transport,
         anchor=lambda germ, *shape: 2 * beta_anchor((1 + germ) / 2, *shape) - 1,
         mean=lambda alpha, beta: (alpha - beta) / (alpha + beta),
-        std=lambda alpha, beta: 2 * jnp.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta),
+        std=lambda alpha, beta: 2 * _root(alpha * beta / (alpha + beta + 1)) / (alpha + beta),
     )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("alpha", "beta", "lower", "upper"): Form(_beta_from_shape, frozenset({"alpha", "beta"})),
@@ -173,6 +172,11 @@ class Beta(AbstractFamily):
     ):
         parameters = {"alpha": alpha, "beta": beta, "mean": mean, "std": std, "lower": lower, "upper": upper}
         self.set_parameters(parameters, shared_name)
+
+
+def _root(square: Scalar) -> Scalar:
+    library, square = in_library(square)
+    return library.sqrt(square)
 
 
 def _gamma_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
@@ -196,7 +200,7 @@ class Gamma(AbstractFamily):
         transport=_gamma_transport,
         anchor=gamma_anchor,
         mean=lambda shape: shape,
-        std=jnp.sqrt,
+        std=_root,
     )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("shape", "scale", "lower"): Form(

@@ -252,7 +252,7 @@ def _decided(
 
 def correlations_at(places: Placements, decisions: Float[np.ndarray, " n"]) -> dict[tuple[str, str], float]:
     """Pearson's correlations of a model's distributions, by pairs of names, at given decisions; no zeros."""
-    at = jnp.asarray(decisions)
+    at = jax_array(decisions)
     decided = {name: _decided(distribution, name, places, at) for name, distribution in places.distributions.items()}
     return {pair: float(value) for pair, value in pearson(decided).items() if abs(value) > _UNCORRELATED}
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import final
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.leaves import Module
 
 
@@ -191,7 +191,8 @@ class Dependence(Module):
 
     def normal(self, germs: Sequence[Float[Array, ""]]) -> Float[Array, ""]:
         """The member's standard normal variable at the values of its germ variables."""
-        return jnp.asarray(self.factor)[self.index, : self.index + 1] @ jnp.stack(germs)
+        library, factor, germs = in_library(self.factor, list(germs))
+        return jax_array(library.asarray(factor)[self.index, : self.index + 1] @ library.stack(germs))
 
     def __str__(self) -> str:
         return f"'{self.members[self.index]}' of the correlated group '{self.group}'"

@@ -186,13 +186,23 @@ class LogNormal(AbstractFamily):
 def _weibull_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
     xp, mean, std, lower = in_library(mean, std, lower)
     xp, inverse = in_library(weibull_inverse_shape(xp.log1p((std / (mean - lower)) ** 2)))
-    logarithm = scipy.special.gammaln if xp is np else special.gammaln
-    return Canonical(lower, (mean - lower) / xp.exp(logarithm(1 + inverse)), (1 / inverse,))
+    return Canonical(lower, (mean - lower) / xp.exp(_log_gamma(1 + inverse)), (1 / inverse,))
+
+
+def _log_gamma(number: Scalar) -> Scalar:
+    library, number = in_library(number)
+    return (scipy.special.gammaln if library is np else special.gammaln)(number)
+
+
+def _weibull_mean(shape: Scalar) -> Scalar:
+    library, shape = in_library(shape)
+    return library.exp(_log_gamma(1 + 1 / shape))
 
 
 def _weibull_std(shape: Scalar) -> Scalar:
-    first, second = special.gammaln(1 + 1 / shape), special.gammaln(1 + 2 / shape)
-    return jnp.exp(first) * jnp.sqrt(jnp.expm1(second - 2 * first))
+    library, shape = in_library(shape)
+    first, second = _log_gamma(1 + 1 / shape), _log_gamma(1 + 2 / shape)
+    return library.exp(first) * library.sqrt(library.expm1(second - 2 * first))
 
 
 @final
@@ -206,7 +216,7 @@ class Weibull(AbstractFamily):
         WeibullGerm,
         from_normal=lambda normal, shape: (-special.log_ndtr(-normal)) ** (1 / shape),
         transport=lambda germ, source, target: germ ** (source[0] / target[0]),
-        mean=lambda shape: jnp.exp(special.gammaln(1 + 1 / shape)),
+        mean=_weibull_mean,
         std=_weibull_std,
     )
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {

@@ -141,7 +141,7 @@ class Systems:
         found, finite = SIMULATE(problem, points, self._decisions, jax_array(count), factor, is_folded)
         if not np.asarray(finite)[:count].all():
             failed = f"{np.sum(~np.asarray(finite)[:count])} of {count} systems fail"
-            raise _not_finite(problem, jax_array(germ[np.argmin(finite)]), self._decisions, failed)
+            raise _not_finite(problem, jax_array(germ[np.argmin(np.asarray(finite))]), self._decisions, failed)
         return found.first(count, keep)
 
 

@@ -5,9 +5,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from aleator._core.arrays import jax_array
 from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
 from aleator.design import history
@@ -45,8 +45,8 @@ def _over_time(solution: Solution) -> Mapping[str, str]:
     problem = solution.problem
     if not problem.system.has_time:
         raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
-    germ = jnp.zeros(len(problem.placements.germs))
-    outputs = jax.eval_shape(lambda: history(problem, germ, jnp.asarray(solution.vector)))
+    germ = jax_array(np.zeros(len(problem.placements.germs)))
+    outputs = jax.eval_shape(lambda: history(problem, germ, jax_array(solution.vector)))
     others = dict.fromkeys(getattr(problem.system, "states", ()), "states") | dict.fromkeys(problem.inputs, "inputs")
     return {**dict.fromkeys(outputs, "outputs"), **{name: kind for name, kind in others.items() if name not in outputs}}
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from aleator._core.arrays import jax_array
 from aleator._core.border import positive
 from aleator._core.errors import ProblemError
 from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, ToleranceAnalysis
@@ -198,7 +199,7 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         if not np.ptp(sample) > 1e-12 * float(np.max(np.abs(sample))):
             raise ProblemError(f"plot.density: expected an output that varies; received '{name}', which does not.")
         values = np.linspace(sample.min(), sample.max(), _POINTS)
-        heights = np.asarray(one.pdf(jax.numpy.asarray(values)))[(slice(None), *where)]
+        heights = np.asarray(one.pdf(jax_array(values)))[(slice(None), *where)]
         title = f"mean {number(mean)}, σ {number(std)}"
         return density_figure(values, {name: heights}, x=name, title=title)
 
@@ -270,7 +271,7 @@ class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
         limits = [limit for limit in (one.lower, one.upper) if np.isfinite(limit)]
         low, high = (one.mean - 4.5 * one.std, one.mean + 4.5 * one.std)
         values = np.linspace(min([low, *limits]), max([high, *limits]), _POINTS)
-        heights = np.asarray(one.expanded.pdf(jax.numpy.asarray(values)))
+        heights = np.asarray(one.expanded.pdf(jax_array(values)))
         tails = [f"{number(part, 3)}\nppm" for part in (one.rejects_low, one.rejects_high)] if len(limits) == 2 else []
         title = f"mean {number(one.mean)}, σ {number(one.std)}, rejects {number(one.rejects, 3)} ppm"
         return density_figure(values, {one.output: heights}, x=one.output, limits=limits, tails=tails, title=title)

@@ -9,10 +9,10 @@ from collections import Counter
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, events_of, functionals_of
 from aleator.dynamics import Grid, System, events_in_steps
@@ -51,7 +51,7 @@ def phases_to_write(problem: Problem, names: list[str], points: Float[np.ndarray
     if not (isinstance(system, System) and isinstance(grid, Grid)) or grid.periodic or grid.t_start != 0:
         return f"{advice}."
     decisions = problem.placements.vector("initial")
-    which, counts, faults = map(np.asarray, _MET(problem, jnp.asarray(points), jnp.asarray(decisions)))
+    which, counts, faults = map(np.asarray, _MET(problem, jax_array(points), jax_array(decisions)))
     last = [] if grid.until is None else [len(names)]
     orders = Counter(
         tuple(int(i) for i in np.repeat(which[k], counts[k]) if i not in last) for k in np.flatnonzero(~faults)
