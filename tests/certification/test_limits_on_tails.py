@@ -66,10 +66,11 @@ def test_a_limit_on_a_low_quantile_is_at_its_optimum_or_not_ok(response, level, 
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
     mean = weights @ (function(nodes[:, None], nodes) * np.ones((12, 12))) @ weights / weights.sum() ** 2
     assert not solution.ok or abs(float(solution.decisions["d"]) - 1) * abs(low) <= 1e-2 * abs(mean - low)
-    if response == "exponential" and solution.ok:
-        beyond = stats.norm.cdf(np.log(low / float(solution.decisions["d"])) / 0.3)
+    if response in ("exponential", "squares") and solution.ok:
+        limit = low / float(solution.decisions["d"])
+        beyond = stats.norm.cdf(np.log(limit) / 0.3) if response == "exponential" else stats.chi2(2).cdf(limit)
         assert beyond == pytest.approx(1 - level, rel=0.15)
-    if response in ("squares", "product"):
+    if response == "product" or (response == "squares" and level < 0.999):  # whose lowest values few lines meet
         assert solution.ok
 
 

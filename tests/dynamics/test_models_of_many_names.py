@@ -7,8 +7,8 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import aleator as al
-from aleator._core.alike import together
 from aleator._core.dependence import dependence
+from aleator.dynamics._alike import together
 from compiling import compiled
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library
 from aleator._core.border import real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import lowest
@@ -76,7 +77,7 @@ class SquaredResiduals(AbstractRule):
     data: Float[Array | np.ndarray, "times ..."]
     std: Float[Array | np.ndarray, "times ..."] | None
 
-    def residuals(self, values: Float[Array, "times ..."]) -> Float[Array, "times ..."]:
+    def residuals(self, values: Float[Any, "times ..."]) -> Float[Any, "times ..."]:
         """The residuals themselves, in the shape of the values, which may have a last axis of several systems."""
         shape = self.data.shape
         if values.shape[: len(shape)] != shape:
@@ -85,12 +86,14 @@ class SquaredResiduals(AbstractRule):
                 f"output; received shape {shape}."
             )
         alike = shape + (1,) * (values.ndim - len(shape))
-        away = values - jnp.reshape(self.data, alike)
-        return away if self.std is None else away / jnp.reshape(self.std, alike)
+        library, values, data, std = in_library(values, self.data, self.std)
+        away = values - library.reshape(data, alike)
+        return away if std is None else away / library.reshape(std, alike)
 
     @override
     def of(self, *values: Array) -> Array:
-        return jnp.sum(self.residuals(values[0]) ** 2, axis=tuple(range(self.data.ndim)))
+        library, residuals = in_library(self.residuals(values[0]))
+        return library.sum(residuals**2, axis=tuple(range(self.data.ndim)))
 
     @override
     def text(self, *texts: str) -> str:

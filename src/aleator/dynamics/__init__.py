@@ -5,6 +5,7 @@ from aleator.dynamics._adaptive import Tsit5 as Tsit5
 from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
+from aleator.dynamics._alike import together as together
 from aleator.dynamics._assembly import Assembly as Assembly
 from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations

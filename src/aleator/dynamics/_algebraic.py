@@ -136,6 +136,7 @@ def explain_failure(system: AlgebraicSystem) -> str:
     """
     if not system.unknowns:
         return ""
+    first_guess(system)  # which refuses numbers that are known not to be finite
     root, reached, guess = jax.tree.map(np.asarray, evaluate(_tried, system, use=Use.ONCE))
     if root.converged:
         return ""

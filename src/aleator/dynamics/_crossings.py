@@ -20,8 +20,8 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.alike import together
 from aleator._core.equations import as_time, loop_while_any
+from aleator.dynamics._alike import together
 from aleator.dynamics._evaluation import (
     after_events,
     algebraic_residuals,

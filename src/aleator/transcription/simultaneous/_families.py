@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.alike import together
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
@@ -21,7 +20,7 @@ from aleator.design import (
     extreme_functionals,
     time_integrals,
 )
-from aleator.dynamics import AbstractMeanRate
+from aleator.dynamics import AbstractMeanRate, together
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family

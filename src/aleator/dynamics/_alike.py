@@ -156,7 +156,9 @@ class _Plan:
             if len(found) >= _ALIKE:
                 steps.append(_Step(equation, [*given.T], [found]))
             else:
-                steps += [_Step(equation, [*row], [one]) for row, one in zip(given[..., None], found, strict=True)]
+                steps += [
+                    _Step(equation, [*row], [one]) for row, one in zip(given[..., None], found[:, None], strict=True)
+                ]
         return steps
 
 
