@@ -6,12 +6,13 @@ products of these, and few are not zero.
 """
 
 from collections.abc import Callable
-from typing import ClassVar, TypeAlias, final
+from typing import Any, ClassVar, TypeAlias, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
@@ -23,7 +24,8 @@ from aleator.expansion import AbstractBasis, Division, GaussPoints, PiecewiseBas
 from aleator.statistics._statistic import AbstractStatistic, Mean, Std, in_blocks, level_given, varies
 from aleator.uncertainty import AbstractGerm
 
-_TOGETHER = 64
+# So many outputs at once at most, and products of their coefficients: 32 MB.
+_TOGETHER, _PRODUCTS = 64, 2**22
 
 # With more products, the constants take gigabytes and an evaluation more than a second.
 _MOST_PRODUCTS = 20_000_000
@@ -47,15 +49,19 @@ class Square(Module):
     values: Float[Array, " products"]
     terms: int = eqx.field(static=True)
 
-    def of(self, coefficients: Float[Array, " terms"]) -> Float[Array, " square_terms"]:
-        """The coefficients of the square of an expansion."""
-        products = self.values * coefficients[self.first] * coefficients[self.second]
-        return jax.ops.segment_sum(products, self.target, self.terms, indices_are_sorted=True)
+    def of(self, coefficients: Float[Any, "terms n"]) -> Float[Any, "square_terms n"]:
+        """The coefficients of the squares of expansions."""
+        pairs = self.first, self.second, self.target, self.values
+        library, coefficients, (first, second, target, values) = in_library(coefficients, pairs)
+        products = values[:, None] * coefficients[first] * coefficients[second]
+        if library is np:
+            return np.add.reduceat(products, np.searchsorted(target, np.arange(self.terms)))
+        return jax.ops.segment_sum(products, target, self.terms, indices_are_sorted=True)
 
-    def moments(self, coefficients: Float[Array, " terms"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """`E[y^3]` and `E[y^4]`: with the expansion of `y^2` sums as in equation (33)."""
+    def moments(self, coefficients: Float[Any, "terms n"]) -> tuple[Float[Any, " n"], Float[Any, " n"]]:
+        """`E[y^3]` and `E[y^4]` of outputs: with the expansion of `y^2` sums as in equation (33)."""
         squared = self.of(coefficients)
-        return squared[: len(coefficients)] @ coefficients, jnp.sum(squared**2)
+        return (squared[: len(coefficients)] * coefficients).sum(axis=0), (squared**2).sum(axis=0)
 
 
 @final
@@ -69,10 +75,12 @@ class PowersInElements(Module):
     matrices: Float[Array, "elements nodes terms"]
     weights: Float[Array, "elements nodes"]
 
-    def moments(self, coefficients: Float[Array, " terms"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """`E[y^3]` and `E[y^4]`."""
-        values = jnp.einsum("ent,et->en", self.matrices, self.division.elements(coefficients))
-        return jnp.sum(self.weights * values**3), jnp.sum(self.weights * values**4)
+    def moments(self, coefficients: Float[Any, "terms n"]) -> tuple[Float[Any, " n"], Float[Any, " n"]]:
+        """`E[y^3]` and `E[y^4]` of outputs."""
+        parts = self.matrices, self.division.elements(coefficients), self.weights[..., None]
+        library, matrices, elements, weights = in_library(*parts)
+        values = library.einsum("ent,eti->eni", matrices, elements)
+        return (weights * values**3).sum(axis=(0, 1)), (weights * values**4).sum(axis=(0, 1))
 
 
 Powers: TypeAlias = Square | PowersInElements
@@ -153,6 +161,8 @@ def _sorted(first: np.ndarray, second: np.ndarray, target: np.ndarray, values: n
 class AbstractOfPowers(AbstractStatistic):
     """A statistic by third and fourth powers of an expansion."""
 
+    needs_no_compiler: ClassVar[bool] = True
+
     @property
     @override
     def preparation(self) -> Callable[..., Powers]:
@@ -168,7 +178,7 @@ class Skewness(AbstractOfPowers):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
-        return shape_of(coefficients, constants)[0]
+        return jax_array(shape_of(coefficients, constants)[0])
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -184,7 +194,7 @@ class Kurtosis(AbstractOfPowers):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
-        return shape_of(coefficients, constants)[1]
+        return jax_array(shape_of(coefficients, constants)[1])
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -217,27 +227,31 @@ class CornishFisher(AbstractOfPowers):
 
     def of_moments(self, mean: Array, std: Array, skewness: Array, kurtosis: Array) -> Float[Array, "*shape"]:
         """The quantile of a distribution with these moments."""
-        z = ndtri(jnp.asarray(self.level, dtype=float))
+        library, z, mean, std, skewness, kurtosis = in_library(self.level, mean, std, skewness, kurtosis)
+        z = scipy.special.ndtri(z) if library is np else ndtri(jnp.asarray(z, dtype=float))
         normal = z + (z**2 - 1) * skewness / 6 + (z**3 - 3 * z) * (kurtosis - 3) / 24
-        return mean + std * (normal - (2 * z**3 - 5 * z) * skewness**2 / 36)
+        return jax_array(mean + std * (normal - (2 * z**3 - 5 * z) * skewness**2 / 36))
 
     @override
     def text(self, inside: str) -> str:
         return f"CF{float(self.level):g}[{inside}]"
 
 
+@quietly
 def shape_of(
-    coefficients: Float[Array, "terms *shape"], constants: Powers
-) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    coefficients: Float[Any, "terms *shape"], constants: Powers
+) -> tuple[Float[Any, "*shape"], Float[Any, "*shape"]]:
     """Skewness and kurtosis."""
 
-    def both(terms: Float[Array, " terms"]) -> Float[Array, "2"]:
-        spreads = varies(terms)
-        std = Std().of(terms, ())
-        standard = jnp.where(spreads, terms.at[0].set(0.0) / jnp.where(spreads, std, 1.0), 0.0)
-        return jnp.stack(constants.moments(standard))
+    def both(entries: Float[Any, "entries terms"]) -> Float[Any, "entries 2"]:
+        _, spreads, std = in_library(varies(entries.T), Std().of(entries.T, ()))
+        centred = library.where(library.arange(entries.shape[1])[None] > 0, entries, 0.0).T
+        standard = library.where(spreads[None], centred / library.where(spreads, std, 1.0)[None], 0.0)
+        return library.stack(constants.moments(standard), axis=-1)
 
-    moments = in_blocks(jax.vmap(both), coefficients, _TOGETHER)
+    library, coefficients, constants = in_library(coefficients, constants)
+    products = max(one.size for one in jax.tree.leaves(constants))
+    moments = in_blocks(both, coefficients, max(1, min(_TOGETHER, _PRODUCTS // products)))
     return moments[..., 0], moments[..., 1]
 
 

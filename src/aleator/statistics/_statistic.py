@@ -72,19 +72,22 @@ def a_statistic(kind: Any) -> AbstractStatistic:
 
 
 def in_blocks(
-    function: Callable[[Float[Array, "entries terms"]], Array],
-    coefficients: Float[Array, "terms *shape"],
+    function: Callable[[Float[Any, "entries terms"]], Any],
+    coefficients: Float[Any, "terms *shape"],
     together: int,
-) -> Float[Array, "..."]:
+) -> Float[Any, "..."]:
     """Apply a function of several outputs' coefficients, shape (entries, terms), to outputs of any shape.
 
     It gets `together` entries at a time, which bounds the memory that it needs.
     """
+    library, coefficients = in_library(coefficients)
     shape = coefficients.shape[1:]
-    entries = jnp.moveaxis(coefficients.reshape(len(coefficients), -1), 1, 0)
+    entries = library.moveaxis(coefficients.reshape(len(coefficients), -1), 1, 0)
     count = len(entries)
     if count <= together:
         values = function(entries)
+    elif library is np:
+        values = np.concatenate([function(entries[first : first + together]) for first in range(0, count, together)])
     else:
         blocks = -(-count // together)
         # The last block is filled up with copies of the last entry.

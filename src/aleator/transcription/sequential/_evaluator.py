@@ -289,7 +289,7 @@ class Tails:
         return tuple(tuple(jax.ShapeDtypeStruct(shape, float) for shape in some) for some in shapes)
 
 
-NONE: tuple[tuple[Array, ...], tuple[Array, ...]] = (), ()
+_NO_TAILS: tuple[tuple[Array, ...], tuple[Array, ...]] = (), ()
 
 
 @final
@@ -324,7 +324,7 @@ class Evaluator:
         meanwhile()
         if self._combine is not None and share is not None:
             *_, terms, slopes = zip(*[share] * len(self._programs), strict=True)
-            tails = self._tails.prepared(share) if self._tails else NONE
+            tails = self._tails.prepared(share) if self._tails else _NO_TAILS
             self._combine.prepare((terms, slopes, tails, jax_array(decisions)))
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
@@ -340,7 +340,7 @@ class Evaluator:
                 program.prepare(decisions)
             shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
             samples, tangents, terms, slopes = zip(*shares, strict=True)
-            tails = self._tails(terms, slopes) if self._tails else NONE
+            tails = self._tails(terms, slopes) if self._tails else _NO_TAILS
             blocks, times = self._combine((terms, slopes, tails, jax_array(decisions)))
         # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
         is_finite = all(np.isfinite(one).all() for part in samples for one in part)
