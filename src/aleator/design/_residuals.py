@@ -92,8 +92,7 @@ class SquaredResiduals(AbstractRule):
 
     @override
     def of(self, *values: Array) -> Array:
-        library, residuals = in_library(self.residuals(values[0]))
-        return library.sum(residuals**2, axis=tuple(range(self.data.ndim)))
+        return (self.residuals(values[0]) ** 2).sum(axis=tuple(range(self.data.ndim)))
 
     @override
     def text(self, *texts: str) -> str:

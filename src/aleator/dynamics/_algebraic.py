@@ -14,6 +14,7 @@ from typing_extensions import override
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator.dynamics._evaluation import as_equations, as_outputs, starting
+from aleator.dynamics._grid import AbstractGrid, Inputs, Instant
 from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
 from aleator.dynamics._system import AbstractSystem, called, state_type
 
@@ -116,17 +117,27 @@ def solve_algebraic(system: AlgebraicSystem) -> Solved:
     return Solved(named(jnp.where(root.converged, root.point, jnp.nan)), root.converged)
 
 
-def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]:
-    """The outputs at the solution; NaN where there is none."""
-    solved = solve_algebraic(system)
-    values = outputs_at(system, solved.unknowns)
-    return {name: jnp.where(solved.converged, value, jnp.nan) for name, value in values.items()}
-
-
 def outputs_at(system: AlgebraicSystem, rho: Any = None) -> dict[str, Float[Array, "..."]]:
     """`system.outputs` at given unknowns as arrays by name, checked to be a dict."""
     unknowns = (rho,) if system.is_implicit else ()
     return as_outputs(system, called(system, system.outputs, *unknowns))
+
+
+def history_alone(system: AlgebraicSystem, grid: AbstractGrid, inputs: Inputs) -> dict[str, Float[Array, "1 ..."]]:
+    """The outputs at the solution, at the one instant; NaN where there is none.
+
+    Raises `ProblemError` for a grid in time, and for inputs.
+    """
+    if not isinstance(grid, Instant):
+        raise ProblemError(
+            f"{system.title} is algebraic, without time: expected al.Instant() as its grid; received "
+            f"{type(grid).__name__}."
+        )
+    if inputs:
+        raise ProblemError(f"{system.title} is algebraic and takes no inputs; received {sorted(inputs)}.")
+    solved = solve_algebraic(system)
+    values = outputs_at(system, solved.unknowns)
+    return {name: jnp.where(solved.converged, value, jnp.nan)[None] for name, value in values.items()}
 
 
 def explain_failure(system: AlgebraicSystem) -> str:

@@ -19,7 +19,7 @@ from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractPlanned, transparent
-from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
+from aleator.dynamics._algebraic import AlgebraicSystem, explain_failure, history_alone
 from aleator.dynamics._closing import closed, repeats
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
@@ -29,9 +29,9 @@ from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_si
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._phases import LinkedSystems, Phases, asked_within, joined, phase_of, within
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, History, Occurrence, Record, chosen, observed
-from aleator.dynamics._steps import LookedUp
+from aleator.dynamics._steps import LookedUp, tables_looked_up
 from aleator.dynamics._system import AbstractSystem, End, System, check_variables, refuse_unrealised
-from aleator.trajectories import AbstractSignal, Tabulated, least_steps
+from aleator.trajectories import AbstractSignal, least_steps
 
 
 @final
@@ -116,7 +116,8 @@ class Simulation(AbstractPlanned):
             declared = self.declared() if self.equations is None else self
             return joined(declared._in_order(asked), asked)
         if isinstance(system, AlgebraicSystem):
-            return Record(chosen(system, self._solved(system), asked.instants), {}, (), grid=self.grid)
+            history = history_alone(system, self.grid, self.inputs)
+            return Record(chosen(system, history, asked.instants), {}, (), grid=self.grid)
         assert isinstance(system, System)
         grid = self._checked_grid(system)
         parts = self._parts(grid)
@@ -337,8 +338,7 @@ class Simulation(AbstractPlanned):
         grid, nodes = self.grid, self.integrator.nodes(middles=middles)
         if not (isinstance(grid, Grid) and isinstance(grid.t_final, float) and grid.until is None and nodes):
             return self
-        tables = {name: one for name, one in self.inputs.items() if isinstance(one, Tabulated) and one.is_plain}
-        return replace(self, looked_up={name: LookedUp.on(grid, one, nodes) for name, one in tables.items()})
+        return replace(self, looked_up=tables_looked_up(grid, self.inputs, nodes))
 
     def narrower(self) -> "Simulation | None":
         """The same with half the widths of `al.smooth`; None without any."""
@@ -379,17 +379,6 @@ class Simulation(AbstractPlanned):
             check_signals(system, self.grid, self.inputs)
         refuse_unknown_event(system, self.grid.until)
         return self.grid
-
-    def _solved(self, system: AlgebraicSystem) -> History:
-        name = system.title
-        if not isinstance(self.grid, Instant):
-            raise ProblemError(
-                f"{name} is algebraic, without time: expected al.Instant() as its grid; received "
-                f"{type(self.grid).__name__}."
-            )
-        if self.inputs:
-            raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(self.inputs)}.")
-        return {output: value[None] for output, value in algebraic_outputs(system).items()}
 
 
 def simulation_of(

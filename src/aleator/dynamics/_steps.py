@@ -12,7 +12,16 @@ from typing_extensions import override
 
 from aleator.dynamics._grid import Grid, Inputs, sampled
 from aleator.dynamics._system import System
-from aleator.trajectories import AbstractSignal, before_jumps, has_jumps, instants, jumping_in, on_pieces, piecewise_in
+from aleator.trajectories import (
+    AbstractSignal,
+    Tabulated,
+    before_jumps,
+    has_jumps,
+    instants,
+    jumping_in,
+    on_pieces,
+    piecewise_in,
+)
 
 Vector = Float[Array, " n"]
 Rates = Callable[[Any, Vector], Vector]
@@ -148,6 +157,12 @@ class LookedUp(AbstractSignal):
     @override
     def sampled(self, fractions: Any, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
         return self.signal.sampled(fractions, t_start, t_final)
+
+
+def tables_looked_up(grid: Grid, inputs: Inputs, nodes: tuple[float, ...]) -> dict[str, LookedUp]:
+    """The tables among some inputs in which nothing is uncertain or decided."""
+    tables = {name: one for name, one in inputs.items() if isinstance(one, Tabulated) and one.is_plain}
+    return {name: LookedUp.on(grid, one, nodes) for name, one in tables.items()}
 
 
 def is_divided(grid: Grid, inputs: Inputs) -> bool:

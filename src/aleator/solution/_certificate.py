@@ -298,15 +298,12 @@ class Certificate(Printed):
     - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
       infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
     - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
-    - `reaches`: how large each functional could be in a typical system, to which its rounding is relative; empty if
-      nothing was checked;
+    - `reaches`: how large each functional that was checked could be in a typical system, as the scale of its rounding;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
-    - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
-      were checked step by step, or a phase that an event ends as a whole, each from the plan's own state; empty if it
-      does not depart by orders of magnitude;
+    - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, each step of
+      which, or phase that an event ends, was then checked from the plan's own; empty unless by orders of magnitude;
     - `smoothing`: the same design at half the widths of `al.smooth`; None without any;
-    - `indistinct`: a sentence on a limit of zero that is broken by values so small that they count as rounding, though
-      they follow the decisions; else empty;
+    - `indistinct`: a sentence on a broken limit of zero that is as small as rounding, but follows the decisions;
     - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty.
     """
 

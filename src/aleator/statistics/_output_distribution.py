@@ -281,8 +281,6 @@ def _rows_by_points(
 # Their equations know no problem: one program serves all with as many variables and terms. Most have a loop that ends
 # by a condition, and run in milliseconds.
 BY_LINES, BY_POINTS = Compiled(_row_by_lines, use=Use.ONCE), Compiled(_rows_by_points, use=Use.ONCE)
-# Entries of one call.
-_OF_A_CALL = 8 * _TOGETHER
 
 
 class Sloped(NamedTuple):
@@ -308,7 +306,7 @@ def sloped(
     few, numbers = min(every.shape[1], SINGLE + 1), numbers_to_arrays(kind)  # one program for a few, one for more
 
     def by_points(some: Float[np.ndarray, "terms entries"]) -> Float[np.ndarray, "results entries"]:
-        filled = np.pad(some, ((0, 0), (0, _OF_A_CALL - some.shape[1])), mode="edge")
+        filled = np.pad(some, ((0, 0), (0, _TOGETHER - some.shape[1])), mode="edge")
         return np.asarray(BY_POINTS(numbers, jax_array(filled), lines.cloud))[: 2 + terms, : some.shape[1]]
 
     def by_lines_at(entry: int) -> Float[np.ndarray, " results"]:
@@ -317,7 +315,7 @@ def sloped(
     share, coarse = np.ones(entries.shape[1]), np.zeros((2 + terms, entries.shape[1]))
     if few > SINGLE and entries.size and not by_lines_alone:
         share = np.asarray(_share_by_lines(kind, entries))
-        blocks = np.split(entries, range(_OF_A_CALL, entries.shape[1], _OF_A_CALL), axis=1)
+        blocks = np.split(entries, range(_TOGETHER, entries.shape[1], _TOGETHER), axis=1)
         coarse = np.concatenate(list(over_devices(by_points, blocks)), axis=1)
     near = np.flatnonzero(share).tolist()
     for entry, fine in zip(near, over_devices(by_lines_at, near), strict=True):
@@ -333,4 +331,4 @@ def prepare_sloped(kind: Any, shape: tuple[int, ...], lines: AnyLines) -> None:
     terms, entries, numbers = shape[0], math.prod(shape[1:]), numbers_to_arrays(kind)
     BY_LINES.prepare(numbers, jax_array(np.zeros(terms)), lines, min(entries, SINGLE + 1))
     if entries > SINGLE:
-        BY_POINTS.prepare(numbers, jax_array(np.zeros((terms, _OF_A_CALL))), lines.cloud)
+        BY_POINTS.prepare(numbers, jax_array(np.zeros((terms, _TOGETHER))), lines.cloud)

@@ -95,7 +95,6 @@ class AbstractAtLevel(AbstractTail):
         return min(float(self.level), 1 - float(self.level)), float(self.level) < 0.5
 
     @override
-    @quietly
     def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
         library, mean, std, away = in_library(mean, std, normal_score(self.level))
         # The largest of quantiles above the mean, the smallest of those below it.
@@ -196,7 +195,6 @@ class Probability(AbstractTail):
         return [threshold for threshold in (self.above, self.below) if threshold is not None]
 
     @override
-    @quietly
     def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
         library, mean, std, thresholds = in_library(mean, std, self._thresholds)
         away = [library.abs(threshold - mean) for threshold in thresholds]

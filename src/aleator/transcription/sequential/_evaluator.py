@@ -264,11 +264,12 @@ class Tails:
     constants: Constants
 
     @classmethod
-    def of(cls, problem: Problem, constants: Constants) -> "Tails | None":
-        """Those of a problem; None if it has none."""
-        atoms, functionals = tails_in(problem.expressions), functionals_of(problem.expressions)
+    def of(cls, problem: Problem, constants: Constants) -> "Tails":
+        """Those of a problem; expressions of single instants have theirs in the program itself."""
+        atoms = () if instantaneous(problem) else tails_in(problem.expressions)
+        functionals = functionals_of(problem.expressions)
         which = tuple(functionals.index(one.functionals[0]) for one in atoms)
-        return cls(tuple(one.kind for one in atoms), which, constants) if atoms else None  # type: ignore[arg-type]
+        return cls(tuple(one.kind for one in atoms), which, constants)  # type: ignore[arg-type]
 
     def __call__(self, terms: Sequence[Terms], slopes: Sequence[Terms]) -> Any:
         """Their values, and the derivatives of these by the decisions, from the terms of all parts."""
@@ -289,9 +290,6 @@ class Tails:
         return tuple(tuple(jax.ShapeDtypeStruct(shape, float) for shape in some) for some in shapes)
 
 
-_NO_TAILS: tuple[tuple[Array, ...], tuple[Array, ...]] = (), ()
-
-
 @final
 class Evaluator:
     """A compiled problem that remembers its two latest points.
@@ -305,8 +303,8 @@ class Evaluator:
         _, collocation, constants = discretised
         self.anchors = anchors
         self._points, parts = len(collocation.points), parts_of(traced, collocation, constants)
-        self._tails = None if instantaneous(traced) else Tails.of(traced, constants)
-        self._combine = COMBINE.bound(traced, constants) if len(parts) > 1 or self._tails else None
+        self._tails = Tails.of(traced, constants)
+        self._combine = COMBINE.bound(traced, constants) if len(parts) > 1 or self._tails.kinds else None
         self._programs = (
             [EVALUATE.bound(traced, collocation, constants, anchors)]
             if self._combine is None
@@ -324,8 +322,7 @@ class Evaluator:
         meanwhile()
         if self._combine is not None and share is not None:
             *_, terms, slopes = zip(*[share] * len(self._programs), strict=True)
-            tails = self._tails.prepared(share) if self._tails else _NO_TAILS
-            self._combine.prepare((terms, slopes, tails, jax_array(decisions)))
+            self._combine.prepare((terms, slopes, self._tails.prepared(share), jax_array(decisions)))
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         return self._remembered(decisions)
@@ -340,8 +337,7 @@ class Evaluator:
                 program.prepare(decisions)
             shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
             samples, tangents, terms, slopes = zip(*shares, strict=True)
-            tails = self._tails(terms, slopes) if self._tails else _NO_TAILS
-            blocks, times = self._combine((terms, slopes, tails, jax_array(decisions)))
+            blocks, times = self._combine((terms, slopes, self._tails(terms, slopes), jax_array(decisions)))
         # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
         is_finite = all(np.isfinite(one).all() for part in samples for one in part)
         values = [one.values if is_finite else np.full_like(one.values, np.nan) for one in blocks]

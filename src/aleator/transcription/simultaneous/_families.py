@@ -20,7 +20,7 @@ from aleator.design import (
     extreme_functionals,
     time_integrals,
 )
-from aleator.dynamics import AbstractMeanRate, together
+from aleator.dynamics import AbstractMeanRate, System, together
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
@@ -213,7 +213,7 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     mesh.
     """
     every = Pointwise.each(problem)
-    names = max(one.names for one in every)
+    names = max(_names(problem, one.phase) for one in every)
     if isinstance(plan, AbstractMeanRate):
         blocks = [{RATES: partial(one.mean_rates, plan), EQUATIONS: one.residuals} for one in every]
         return {
@@ -226,6 +226,13 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     nowhere = np.zeros((plan.realisations, len(problem.placements.germ_names)))
     whole = families(layout, problem, constants, nowhere, layout.view(np.zeros(layout.count))).every
     return {i: partial(together, names, one.function) for i, one in enumerate(whole)}
+
+
+def _names(problem: Problem, phase: str) -> int:
+    """How many states and algebraic variables of a phase have names."""
+    system = problem.simulation.of(f"{phase}." if phase else "").system
+    assert isinstance(system, System)
+    return len(system.states) + len(system.algebraic)
 
 
 def _nothing(*_: Any) -> Array:

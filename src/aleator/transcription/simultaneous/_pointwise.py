@@ -210,13 +210,6 @@ class Pointwise:
         return grid_in(self.phase, self.problem.grid)
 
     @property
-    def names(self) -> int:
-        """How many states and algebraic variables have names."""
-        system = self.problem.simulation.of(f"{self.phase}." if self.phase else "").system
-        assert isinstance(system, System)
-        return len(system.states) + len(system.algebraic)
-
-    @property
     def is_open(self) -> bool:
         """Whether each realisation has a duration of its own."""
         return self.grid.until is not None
