@@ -107,6 +107,7 @@ def test_both_sides_of_a_range_are_named_at_once():
         (lambda: Y <= 5.0, "differs between realisations: take a statistic of it"),
         (lambda: Y.mean < 1.0, "write <= or >="),
         (lambda: bool(Y.mean), "An expression has no truth value"),
+        (lambda: Y.equals(1.0), r"expected a statistic of it, such as \.mean\.equals\(1\.0\)"),
         (lambda: 0 <= Y.mean <= 1, "chain such as 'lower <= y <= upper' does not work"),
         (lambda: Y.at_most(1, sigmas=2, worst_case=True), r"expected one of .* received \['sigmas', 'worst_case'\]"),
         (lambda: al.covariance(Y, 1.0), r"A covariance is that of two functionals.*received 1\.0"),

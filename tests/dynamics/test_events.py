@@ -110,10 +110,19 @@ def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
 
 
 def test_the_probability_to_land_beyond_a_distance_is_that_of_the_speed_that_reaches_it():
+    def slowest(angle, height):
+        return np.sqrt(G * 41.0**2 / 2 / (height + 41.0 * np.tan(angle))) / np.cos(angle)
+
     speed = al.Uniform(20.0, half_width=1.0)
     found = al.expand(lambda at: al.simulate(Shot(at["speed"], 0.7, 1.0), LANDED)["x"][-1], {"speed": speed})
-    slowest = scipy.optimize.brentq(lambda v: float(landing(v, 0.7, 1.0)[1]) - 41.0, 19.0, 21.0, xtol=1e-12)
-    assert float(found.probability(above=41.0)) == pytest.approx((21.0 - slowest) / 2, abs=1e-8)
+    assert float(found.probability(above=41.0)) == pytest.approx((21.0 - slowest(0.7, 1.0)) / 2, abs=1e-8)
+    numbers = {"speed": al.Normal(20.0, std=0.3), "angle": al.Uniform(0.7, half_width=0.05)}
+    numbers["height"] = al.Uniform(1.0, half_width=0.5)
+    found = al.expand(lambda at: al.simulate(Shot(**at), LANDED)["x"][-1], numbers, al.Expansion(order=6))
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    at = np.meshgrid(0.7 + 0.05 * nodes, 1.0 + 0.5 * nodes, indexing="ij")
+    right = weights @ scipy.special.ndtr((20.0 - slowest(*at)) / 0.3) @ weights / 4
+    assert float(found.probability(above=41.0)) == pytest.approx(right, abs=1e-8)
 
 
 @pytest.mark.parametrize("integrator", [None, *ADAPTIVE], ids=lambda one: type(one).__name__)

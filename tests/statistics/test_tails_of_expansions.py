@@ -108,6 +108,16 @@ def test_the_sum_of_two_uniform_numbers_follows_the_triangular_distribution():
         assert value(Probability(below=threshold), coefficients, basis) == pytest.approx(exact, rel=1e-4)
 
 
+def test_tails_of_a_smooth_function_of_three_numbers_have_eight_digits():
+    basis = basis_of([HermiteGerm()] * 3, 2)
+    coefficients = coefficients_of_polynomial(basis, lambda x, y, z: x**2 + 0.3 * y + 0.1 * z**2)
+    at, weights = np.linspace(-8.0, 8.0, 801), stats.norm.pdf(np.linspace(-8.0, 8.0, 801)) * 0.02
+    y, z = np.meshgrid(at, at)
+    for threshold in (5.0, 9.0):
+        right = weights @ (2 * stats.norm.sf(np.sqrt(np.maximum(threshold - 0.3 * y - 0.1 * z**2, 0.0)))) @ weights
+        assert value(Probability(above=threshold), coefficients, basis) == pytest.approx(right, rel=1e-8)
+
+
 def test_tails_on_two_sides_and_around_are_those_of_closed_forms():
     """A product of two normals is as often below a number as above its negative (SciPy's K0), a sum of squares is
     chi-square.

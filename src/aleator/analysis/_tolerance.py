@@ -263,8 +263,8 @@ def _function(model: Pytree, output: str | Callable[[Any], Any]) -> tuple[Callab
         return output, getattr(output, "__name__", "output")
     if not isinstance(model, AlgebraicSystem):
         raise ProblemError(
-            "tolerance_analysis: an output by name needs an AlgebraicSystem, such as al.Assembly; received "
-            f"{type(model).__name__}. Give a function of the model in the place of '{output}'."
+            "tolerance_analysis(model, output): expected an AlgebraicSystem, such as al.Assembly, and the name of an "
+            f"output, or any model and a function of it; received {type(model).__name__} and {type(output).__name__}."
         )
 
     def value(realised: AlgebraicSystem) -> jax.Array:

@@ -163,6 +163,8 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
                 continue
             seen = f"{tail.value + error:.4g} ± {2 * uncertainty:.2g}"
             sentence = f"{atom.text()} is {tail.value:.4g} by the expansion, and {seen} by {count} systems in its tail"
+            if abs(error) <= 2 * uncertainty:
+                sentence = f"{sentence}, too few to tell"
             if gaps is None:
                 yield sentence, not _effect(check, expression, atom, by) <= check.gained
             else:

@@ -4,7 +4,7 @@ import abc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Self, final
+from typing import Any, ClassVar, NamedTuple, NoReturn, Self, final
 
 import equinox as eqx
 import jax
@@ -210,6 +210,13 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
             return Range(self._end(1, *margin) <= upper, self._end(-1, *margin) >= lower).named(name)
         lower, upper = ordered(name, lower, upper)
         return Range(self._end(1, *margin) <= upper, self._end(-1, *margin) >= lower)
+
+    def equals(self, other: float | Expression) -> NoReturn:
+        """Refused with what to write: what varies from system to system equals a number in none but a few."""
+        raise ProblemError(
+            f"'{self.text()}' varies from system to system: expected a statistic of it, such as .mean.equals({other}), "
+            "or .within(lower, upper)."
+        )
 
     def _end(
         self, side: int, sigmas: float, probability: float | None, worst_case: bool, at_points: bool

@@ -346,8 +346,8 @@ class Certificate(Printed):
         if opinion is not None and opinion.broken:
             yield (
                 "fresh simulations contradict the expansion",
-                f"solved for the expansion, but {opinion.samples} fresh simulations contradict it: {opinion.broken}. "
-                f"{opinion.remedy}",
+                f"solved for the expansion, but {opinion.samples} fresh simulations do not confirm it: "
+                f"{opinion.broken}. {opinion.remedy}",
             )
         if self.untrusted:
             yield (

@@ -5,11 +5,13 @@ integral is that of a function of one variable, exact between the crossings of a
 lines is that of a smooth function (Griewank, Kuo, Leövey and Sloan, 2018, High dimensional integration of kinks and
 jumps). Every germ variable is a function of a standard normal one, at equal probability. Lines run in the direction in
 which the output is smallest at a distance of some standard deviations, so that a single line gives the result for an
-output that is nearly linear in the tail. They lie where a mixture of normal distributions puts them: the given one,
-two wider ones, and one around each of several such minima; the ratio of the densities is the weight of a line
-(importance sampling; Owen and Zhou, 2000, on mixtures that keep the given distribution).
+output that is nearly linear in the tail. Across it, lines of two or three variables lie on a lattice, whose error falls
+exponentially for smooth outputs. Others lie where a mixture of normal distributions puts them: the given one, two wider
+ones, and one around each of several such minima; the ratio of the densities is the weight of a line (importance
+sampling; Owen and Zhou, 2000, on mixtures that keep the given distribution).
 """
 
+import math
 from dataclasses import replace
 from typing import TypeAlias, final
 
@@ -42,10 +44,11 @@ _APART = 0.7  # cosine between minima that are told apart
 # about a thousandth of itself.
 _STILL = 2.0**-10
 
-# The part of a line that counts, beyond which lies 3e-12. Cells of it: of the only line of one variable, of each of the
-# equidistant lines of two variables, and of others.
-END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 200}, 33
-_ON_A_GRID, _GRID, _TURNS, _COARSER = 2, 192, 4, 4
+# The part of a line that counts, beyond which lies 3e-12. Cells of it by the number of variables.
+END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 150}, 33
+# Lines on a lattice by the number of variables; its replicates; of how many lines one is taken for paths; a distance
+# that counts as none.
+_ON_A_LATTICE, _TURNS, _COARSER, _NEAREST = {2: 512, 3: 2048}, 4, 4, 1e-9
 
 # Paths of more entries than this are evaluated by fewer lines, and in part by points.
 SINGLE = 4
@@ -126,11 +129,13 @@ class Lines(Module):
 
     @property
     def coarser(self) -> "Lines":
-        """Some replicates of the lines, or a coarser grid."""
+        """Some replicates of the lines, or a sparser lattice."""
         _, normals = in_library(self.normals)
-        if len(normals) > _ON_A_GRID:
+        if len(normals) > max(_ON_A_LATTICE):
             return replace(self, normals=jax_array(normals[:, : REPLICATES // _COARSER]))
-        return replace(self, normals=jax_array(normals[:, :, ::_COARSER]), cells=self.cells // _COARSER)
+        if len(normals) > 1:
+            normals = normals[:, 0].reshape(len(normals), _TURNS, -1)
+        return replace(self, normals=jax_array(normals), cells=max(self.cells // _COARSER, _FEWEST_CELLS))
 
     def values(self, coefficients: Float[Array, " terms"], normal: Float[Array, "variables n"]) -> Float[Array, " n"]:
         """The expansion at points of the normal variables."""
@@ -232,8 +237,10 @@ def _placed(
     mirror = _unit(jnp.zeros((variables, 1)).at[-1].set(1.0) - direction[:, None])[:, 0]
     flat = normals.reshape(variables, -1)
     flat = flat - 2 * jnp.outer(mirror, mirror @ flat)
-    if variables <= _ON_A_GRID:
-        weights = jnp.exp(-jnp.sum(normals**2, axis=0) / 2)
+    if variables <= max(_ON_A_LATTICE):
+        distance = jnp.maximum(root(jnp.sum(normals**2, axis=0)), _NEAREST)
+        even = jnp.arcsinh(distance)
+        weights = jnp.exp(-(distance**2) / 2) * jnp.cosh(even) * (distance / even) ** (variables - 2)
         return flat, weights * (replicates / jnp.sum(weights))
     sizes = np.array(_SIZES)
     spreads = np.array([1.0, *(np.sqrt(1 + reach**2 / variables) for reach in _REACHES), *[1.0] * _MINIMA])
@@ -295,11 +302,11 @@ def _lines(basis: AbstractBasis) -> Lines:
     germs: list[AbstractGerm] = [list(basis.germs.values())[i] for i in active] or [HermiteGerm()]
     indices = basis.indices[:, active] if active else np.zeros((basis.terms, 1), dtype=int)
     orders = int(indices.max(initial=0)) + 1
-    starts = _starts(len(germs))
+    starts, recurrences = _starts(len(germs)), [germ.recurrence(orders) for germ in germs]
     return Lines(
         table=jax_array(np.stack([_table(germ) for germ in germs])),
         is_normal=jax_array([[float(isinstance(germ, HermiteGerm))] for germ in germs]),
-        recurrence=jax_array(np.stack([_recurrence(germ, orders) for germ in germs], axis=-1)),
+        recurrence=jax_array(np.stack([[a[:-1], b[:-1], b[1:]] for a, b in recurrences], axis=-1).swapaxes(0, 1)),
         factors=jax_array(_factors(indices)),
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
@@ -311,11 +318,14 @@ def _lines(basis: AbstractBasis) -> Lines:
 
 
 def _cloud_of(basis: AbstractBasis, active: list[int]) -> Cloud:
+    """Points of the germ variables, as even as can be."""
     variables = max(len(active), 1)
-    return Cloud(
-        terms=jax_array(_at(basis, active, _cloud(variables))),
-        width=min(_WIDEST, _WIDTH * _POINTS ** (-0.5 / variables)),
-    )
+    if variables == 1:
+        levels = (np.arange(_POINTS)[:, None] + 0.5) / _POINTS
+    else:
+        levels = scipy.stats.qmc.Sobol(variables, bits=30, rng=np.random.default_rng(len(_SIZES))).random(_POINTS)
+    terms = _at(basis, active, scipy.special.ndtri(levels + 2.0**-31).T)
+    return Cloud(jax_array(terms), width=min(_WIDEST, _WIDTH * _POINTS ** (-0.5 / variables)))
 
 
 def _at(
@@ -335,11 +345,6 @@ def _table(germ: AbstractGerm) -> Float[np.ndarray, "cells 4"]:
     return spline.c[::-1].T
 
 
-def _recurrence(germ: AbstractGerm, orders: int) -> Float[np.ndarray, "orders 3"]:
-    a, b = germ.recurrence(orders)
-    return np.stack([a[:orders], b[:orders], b[1 : orders + 1]], axis=1)
-
-
 def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "factors terms"]:
     """The places of each term's factors among the polynomials by degree and variable; 0 is a constant."""
     variables = indices.shape[1]
@@ -352,11 +357,12 @@ def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "fa
 
 
 def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of_one"]:
-    """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, across the last axis."""
-    if variables <= _ON_A_GRID:
-        # One line through the origin, or equidistant ones: the trapezoidal rule. Replicates take turns.
-        across = np.linspace(-END, END, _GRID).reshape(-1, _TURNS).T
-        return np.zeros((1, 1, 1)) if variables == 1 else np.stack([across, 0 * across])
+    """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, or a lattice, across the last axis."""
+    if variables == 1:
+        return np.zeros((1, 1, 1))
+    if variables in _ON_A_LATTICE:
+        across = _lattice(variables - 1, _ON_A_LATTICE[variables])
+        return np.concatenate([across, np.zeros((1, *across.shape[1:]))])
     parts = []
     for seed, size in enumerate(_SIZES):
         net = scipy.stats.qmc.Sobol(variables - 1, bits=30, rng=np.random.default_rng(seed))
@@ -367,12 +373,23 @@ def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of
     return np.concatenate([across, np.zeros((1, *across.shape[1:]))])
 
 
-def _cloud(variables: int) -> Float[np.ndarray, "variables points"]:
-    """Points of a standard normal distribution, as even as can be."""
-    if variables == 1:
-        return scipy.special.ndtri((np.arange(_POINTS) + 0.5) / _POINTS)[None]
-    net = scipy.stats.qmc.Sobol(variables, bits=30, rng=np.random.default_rng(len(_SIZES)))
-    return scipy.special.ndtri(net.random(_POINTS) + 2.0**-31).T
+def _lattice(axes: int, lines: int) -> Float[np.ndarray, "axes turns lines_of_one"]:
+    """A lattice of one or two axes for the trapezoidal rule, stretched so that it is denser around the origin.
+
+    Its projection onto either axis is even (Frolov, 1976). Each turn is a sparser lattice, and so is a quarter of one.
+    """
+    apart = round(_TURNS ** (1 / axes))
+    reach, golden = math.isqrt(lines) if axes == 2 else lines, (math.sqrt(5) - 1) / 2
+    index = np.indices([2 * reach] * axes).reshape(axes, -1) - reach
+    points = np.array([[1.0, -golden], [golden, 1.0]])[:axes, :axes] @ index
+    nearest = np.argsort(np.linalg.norm(points, axis=0), kind="stable")
+    index, points = index[:, nearest], points[:, nearest]
+    part = np.ravel_multi_index((*(index % apart), *(index // apart % apart)), [apart] * 2 * axes)
+    parts = [points[:, part == k][:, : lines // _TURNS**2] for k in range(_TURNS**2)]
+    points = np.concatenate(parts, axis=1)
+    distance = np.maximum(np.linalg.norm(points, axis=0), _NEAREST)
+    even = distance * (math.asinh(END) / distance.max())
+    return (points * np.sinh(even) / distance).reshape(axes, _TURNS, -1)
 
 
 def _starts(variables: int) -> Float[np.ndarray, "variables starts"]:

@@ -211,7 +211,10 @@ class TailByLines(AbstractLowerTail):
         """Its derivative is that of the output at the crossings times the density there."""
         points = self.values.points[:, at.line] + jnp.outer(self.values.direction, at.along)
         heights = self.lines.values(self.signed, points) - threshold
-        change = heights - jax.lax.stop_gradient(heights)
+        off = jax.lax.stop_gradient(heights)
+        # What the output itself is off at the crossings of its cubics, unless it hardly rises there.
+        is_near = jnp.abs(off * at.densities) < _normal(at.along) * self.lines.step
+        change = heights - jnp.where(is_near, 0.0, off)
         weights = self.values.weights.ravel()
         return (weights @ at.fractions - (weights[at.line] * at.densities) @ change) / len(self.values.weights)
 

@@ -32,6 +32,11 @@ class Proportion(Printed):
         return self.count / self.samples
 
     @property
+    def effective(self) -> float:
+        """How many were counted, as that of a weighted proportion."""
+        return float(self.count)
+
+    @property
     def lower(self) -> float:
         """Lower end of the confidence interval."""
         tail = (1 - self.confidence) / 2
@@ -105,7 +110,7 @@ class WeightedProportion(Printed):
 
 
 Share: TypeAlias = Proportion | WeightedProportion
-"""A probability estimate, counted or weighted: both have `estimate`, `lower`, `upper` and `confidence`."""
+"""A probability estimate, counted or weighted: both have `estimate`, `lower`, `upper`, `effective` and `confidence`."""
 
 
 def _gamma_quantile(mean: float, variance: float, level: float) -> float:
