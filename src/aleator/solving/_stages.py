@@ -37,7 +37,7 @@ from aleator.certification import (
     worst_case_limits,
     worst_case_of,
 )
-from aleator.design import Problem, is_over_time
+from aleator.design import Problem, destabilised, is_over_time
 from aleator.nlp import (
     HELD,
     AbstractSearch,
@@ -127,6 +127,9 @@ class Stages(NamedTuple):
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
+        if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
+            said = destabilised(problem, transcribed.decisions(outcome.point))
+            outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
         # Judge the grid.
         is_solved, misled = outcome.status is Status.SOLVED, ""
         is_unknown = multipliers is None and not self.transcription.is_guessed
