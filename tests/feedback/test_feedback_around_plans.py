@@ -1,5 +1,6 @@
 """Feedback around a decided plan, against SciPy and closed forms."""
 
+import re
 from functools import cache
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 import scipy
 
 import aleator as al
+import zoo
 from aleator.feedback import AbstractController
 from zoo import histories
 
@@ -148,3 +150,43 @@ def test_limits_are_those_of_actuators_and_a_law_of_ones_own_is_a_law():
     assert abs(command).max() > 2.0
     np.testing.assert_allclose(applied, np.clip(command, -1.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(numbers["u.command"], command, atol=1e-10)
+
+
+class Steered(Cart):
+    """A cart whose motor may be connected the wrong way round."""
+
+    gain: al.Number = 1.0
+
+    def rhs(self, t, z, u):
+        return super().rhs(t, z, self.gain * u)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "gain", "said"),
+    zoo.cases(
+        [
+            (-60.0, -20.0, 1.0, "errors grow by .* with all 12 gains .* within their bounds: widen these"),
+            (20.0, 60.0, al.Uniform(0.2, half_width=0.5), "In the system with .*gain = -0.3.* with all 12 gains"),
+            (-60.0, 20.0, 1.0, ""),
+        ],
+        first=1,
+    ),
+    ids=["every system", "one system", "some gains"],
+)
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")  # of a design that is none
+def test_a_search_that_fails_says_that_all_gains_within_their_bounds_destabilise(lower, upper, gain, said):
+    gains = al.Decision(np.full(2, lower), lower, upper)
+    declared = plan(0.005, feedback=al.Feedback(gains=gains, of=("x", "v")))
+    system = Steered(m=1.0, gain=gain)
+    problem = al.Problem(
+        system,
+        grid=declared.grid,
+        inputs={"u": al.Control(0.0, -50, 50, degree=1)},
+        minimize=declared.objective,
+        subject_to=declared.constraints,
+        feedback=al.Feedback(gains=gains, of=("x", "v")),
+    )
+    failed = al.solve(problem, al.solvers.FilterSQP(max_iterations=2), throw=False)
+    assert not failed.ok
+    assert re.search(said, failed.why())
+    assert ("destabilise" in failed.why()) == bool(said)

@@ -4,10 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from scipy.optimize import minimize
 
 import aleator as al
+import zoo
 from aleator.certification import begin_check
-from aleator.certification._limits import excess_between, jumps, tightened
+from aleator.certification._between import Margin, excess_between, jumps, tightened
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
 from aleator.transcription import transcribe
@@ -120,7 +122,7 @@ def test_paths_and_peaks_are_compared_with_their_limits_on_the_finer_grid():
     between, shifts = excess_between(begin_check(transcribed, level, factor)())
     wave = np.sin(2 * np.pi * 50.0 * np.linspace(0.0, 1.0, 100 * factor + 1))
     assert wave.max() > 0.9 > wave[::factor].max()
-    np.testing.assert_allclose(shifts[2], [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)
+    np.testing.assert_allclose(shifts[2].by.ravel(), [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)
     assert between.name == transcribed.problem.names[2]
     assert between.worst == pytest.approx((0.5 * wave.max() - 0.2) / 1.2)
     assert all(is_over_time(one) for one in transcribed.problem.constraints)
@@ -163,8 +165,62 @@ def test_a_pulse_between_instants_breaks_the_limit_of_a_path_and_of_its_peak():
 
 def test_margins_narrow_both_sides_of_a_limit_at_their_instants():
     transcribed, margins = transcribe(rippled(high=1.5, low=-1.0)), np.linspace(0.0, 0.2, 101)
+    margin = Margin(margins[:, None], np.zeros((101, 1), dtype=int))
     high, low, peak = transcribed.rows
-    narrower = tightened(transcribed, (margins, margins, None))
+    narrower = tightened(transcribed, (margin, margin, None))
     np.testing.assert_allclose(narrower.constraint_upper[high], 1.5 - margins)
     np.testing.assert_allclose(narrower.constraint_lower[low], margins - 1.0)
     np.testing.assert_array_equal(narrower.constraint_upper[peak], transcribed.program.constraint_upper[peak])
+
+
+# --- Peaks and their prices ------------------------------------------------------------------------------------------
+
+
+class Damped(al.System):
+    """A unit mass pushed off at unit speed, `x = exp(-c t / 2) sin(w t) / w` with `w² = k - c² / 4`."""
+
+    states = ("x", "v")
+    stiffness: al.Number
+    damping: al.Number
+    side: float = 1.0
+
+    def initial(self):
+        return {"v": 1.0}
+
+    def rhs(self, t, z):
+        return z.v, -self.stiffness * z.x - self.damping * z.v
+
+    def outputs(self, t, z):
+        return {"x": self.side * z.x, "a": self.stiffness * z.x + self.damping * z.v}
+
+
+def gentlest(bound):
+    """The least root mean square of the acceleration over 2 s that brakes the mass within a bound, by SciPy."""
+
+    def reach_and_effort(x):
+        k, c = x
+        frequency = np.emath.sqrt(k - c * c / 4)
+        times, weights = np.polynomial.legendre.leggauss(60)
+        times = np.append(times + 1.0, np.real(np.arctan(2 * frequency / c) / frequency))
+        position = np.real(np.exp(-c * times / 2) * np.sin(frequency * times) / frequency)
+        speed = np.real(np.exp(-c * times / 2) * np.cos(frequency * times)) - c / 2 * position
+        return position[-1], np.sqrt(weights @ (k * position + c * speed)[:-1] ** 2 / 2)
+
+    limit = {"type": "ineq", "fun": lambda x: bound - reach_and_effort(x)[0]}
+    found = minimize(lambda x: reach_and_effort(x)[1], [8.0, 4.0], constraints=limit, options={"ftol": 1e-13})
+    assert found.success
+    return found.fun
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["peak", "trough"])
+@pytest.mark.parametrize("steps", zoo.cases([30, 61, 200]))
+def test_optimum_and_price_of_a_path_do_not_depend_on_where_the_instants_are(steps, side):
+    path, bound = al.path("x"), 0.15
+    limit = path.at_most(bound) if side > 0 else path.at_least(-bound)
+    system = Damped(al.Decision(20.0, 1.0, 500.0), al.Decision(2.0, 0.1, 20.0), side)
+    problem = al.Problem(system, grid=al.Grid(2.0, steps), minimize=al.rms("a").mean, subject_to=[limit])
+    solution = al.solve(problem)
+    assert solution.objective == pytest.approx(gentlest(bound), rel=1e-4)
+    slope = (gentlest(bound - 1e-3) - gentlest(bound + 1e-3)) / 2e-3
+    assert solution.constraints[0].shadow_price == pytest.approx(slope, rel=5e-3)
+    assert solution.certificate.between.cost == 0.0  # no bound is tighter than it has to be

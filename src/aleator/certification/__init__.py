@@ -1,5 +1,11 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
+from aleator.certification._between import Margins as Margins
+from aleator.certification._between import Shifts as Shifts
+from aleator.certification._between import excess_between as excess_between
+from aleator.certification._between import margins_for as margins_for
+from aleator.certification._between import narrows as narrows
+from aleator.certification._between import tightened as tightened
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
 from aleator.certification._fresh import check_factor as check_factor
@@ -11,10 +17,6 @@ from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
 from aleator.certification._limits import OWN_ERROR as OWN_ERROR
-from aleator.certification._limits import Margins as Margins
-from aleator.certification._limits import excess_between as excess_between
-from aleator.certification._limits import margins_for as margins_for
-from aleator.certification._limits import tightened as tightened
 from aleator.certification._solution import Held as Held
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts

@@ -1,29 +1,15 @@
-"""Limits by CHECK, in one table: whether each holds on a finer grid and between the instants, whether the problem's own
-grid tells that, and the margins that enforce it.
-
-At the knots of trajectories outputs may jump, such as torques of a motion of degree 2. An instant has the value of one
-side of a jump only, so that the sides before and after it are judged separately.
-"""
+"""Limits by CHECK, in one table: whether each holds on a finer grid, and whether the problem's own grid tells that."""
 
 import functools
-import itertools
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.arrays import jax_array
 from aleator.certification._check import Check, row_sizes
-from aleator.certification._fresh import parts_in
-from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, instants_of, is_over_time, path_of
-from aleator.dynamics import Simulation
-from aleator.nlp import NonlinearProgram
-from aleator.solution import Between
+from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, instants_of
 from aleator.statistics import Std, Variance
-from aleator.trajectories import BSpline, piecewise_in
 from aleator.transcription import NOISE, AbstractTranscribed, bound_size, excess_of
-from aleator.uncertainty import at_means, realise
 
 OWN_ERROR = 1.25
 """Allowance for the error of the finer grid itself, which is much smaller."""
@@ -36,10 +22,6 @@ _NEAR_BOUND, _ANYWHERE = 0.05, 0.25
 # A limit of zero is broken by more than this part of its values, which follow the decisions if they are nearly straight
 # over steps of this part of a typical magnitude.
 _BROKEN, _MOVED, _STRAIGHT = 1e-3, 1e-3, 0.1
-# A jump exceeds this many changes between neighbouring fine instants, and this part of the values.
-_STEEP, _LEAST = 5.0, 1e-6
-# A knot within this many steps of an instant coincides with it up to rounding.
-_AT = 1e-6
 
 
 class Limit(NamedTuple):
@@ -169,114 +151,3 @@ def indistinct_limit(
                 "follow the decisions: let the output be in a smaller unit; or, if they are rounding, drop the limit"
             )
     return ""
-
-
-# --- Between the instants --------------------------------------------------------------------------------------------
-
-Margins = tuple[Float[np.ndarray, " limited"] | None, ...]
-"""By how much the bounds of each constraint are moved inwards wherever limits over time are imposed; None for limits on
-no path or peak, and for equalities, of which no margin can enforce both sides.
-"""
-
-
-def excess_between(check: Check) -> tuple[Between, Margins]:
-    """How far a problem's limits over time are exceeded on a finer grid at most, and how far each bound must move
-    inwards so that the worst value near each instant meets it, negative where it may move outwards.
-    """
-    transcribed, between, shifts = check.transcribed, Between(check.factor, 0.0, "", 0.0), []
-    decisions = jax_array(transcribed.decisions(check.point))
-    model = realise(at_means(check.problem.simulation), jax_array(np.zeros(0)), decisions)
-    for limit, scale in zip(limits_at(check), transcribed.scales, strict=True):
-        one, rows, shift, path = limit.constraint, limit.beyond, None, path_of(limit.constraint)
-        if is_over_time(one):
-            # Places in steps of the finer grid, with the excess before and after.
-            sides = [
-                (place, float(excess_of(one, before).max()), float(excess_of(one, after).max()))
-                for place, before, after in (jumps(limit.fine, _knots(model.of(path))) if path else [])
-            ]
-            if float(one.lower) != float(one.upper):
-                shift = _shifts(rows, transcribed.limited(path) * (len(rows) - 1), sides) if path else rows
-            # NaN counts as the largest excess.
-            candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
-            largest, place = max((np.inf if np.isnan(most) else most, place) for most, place in candidates)
-            largest /= bound_size(one) or scale
-            if largest > between.worst:
-                between = Between(check.factor, largest, one.name, float(limit.times[place // limit.factor]))
-        shifts.append(shift)
-    return between, tuple(shifts)
-
-
-def _knots(model: Simulation) -> Float[np.ndarray, " knots"]:
-    """The interior knots of splines and nodes of controls of a realisation, as fractions of its time."""
-    parts = model.system, model.inputs
-    ends = (one.breaks() for one in (*parts_in(parts, BSpline), *piecewise_in(parts)))
-    fractions = np.concatenate([np.zeros(0), *ends])
-    return np.unique(fractions[(fractions > 0) & (fractions < 1)])
-
-
-def jumps(
-    values: Float[np.ndarray, "finer entries"], at: Float[np.ndarray, " knots"]
-) -> list[tuple[float, Float[np.ndarray, " entries"], Float[np.ndarray, " entries"]]]:
-    """The jumps of a path at knots: place in steps of the finer grid, values before and after, from straight lines."""
-    last, size, every = len(values) - 1, float(np.abs(values).max(initial=0.0)), []
-    for place in (at * last).tolist():
-        left, right = int(np.ceil(place - _AT)) - 1, int(np.floor(place + _AT)) + 1
-        if left < 1 or right > last - 1:
-            continue
-        rising, going = values[left] - values[left - 1], values[right + 1] - values[right]
-        before, after = values[left] + rising * (place - left), values[right] - going * (right - place)
-        change = max(float(np.abs(rising).max()), float(np.abs(going).max()))
-        if float(np.abs(after - before).max()) > _STEEP * change + _LEAST * size:
-            every.append((place, before, after))
-    return every
-
-
-def _shifts(
-    beyond: Float[np.ndarray, " finer"],
-    places: Float[np.ndarray, " limited"],
-    sides: list[tuple[float, float, float]],
-) -> Float[np.ndarray, " limited"]:
-    """The shifts at both ends of each interval that its worst value requires, in proportion to their proximity.
-
-    - `places`: the ends of the intervals, in steps of the finer grid.
-
-    Shifts `e (1 - s)` and `e s`, divided by `(1 - s)² + s²`, change a straight line between them by `e` at the fraction
-    `s`. In an interval with jumps, each end answers for its own side of them only.
-    """
-    low, high = np.ceil(places[:-1] - _AT).astype(int), np.floor(places[1:] + _AT).astype(int)
-    which = np.minimum(low[:, None] + np.arange((high - low).max() + 1), high[:, None])
-    inside = np.where((low <= high)[:, None], beyond[which], -np.inf)
-    worst = (np.arange(len(low)), np.argmax(inside, axis=1))
-    excess, s = inside[worst], np.clip((which[worst] - places[:-1]) / np.diff(places), 0.0, 1.0)
-    share = np.stack([1 - s, s]) / ((1 - s) ** 2 + s**2)
-    first, last = np.where(excess > 0, share * excess, excess)
-    fine = np.arange(len(beyond))
-    for i, (begin, end) in enumerate(itertools.pairwise(places)) if sides else ():
-        here = [side for side in sides if begin - _AT <= side[0] <= end + _AT]
-        if here:
-            (earliest, before, _), (latest, _, after) = here[0], here[-1]
-            # Exactly at a jump, rounding decides which side an instant's value belongs to.
-            left, right = (begin <= fine) & (fine < earliest - _AT), (latest + _AT < fine) & (fine <= end)
-            first[i] = max([before, *beyond[left]]) if earliest > begin + _AT else -np.inf
-            last[i] = max([after, *beyond[right]]) if latest < end - _AT else -np.inf
-    return np.maximum(np.append(first, -np.inf), np.append(-np.inf, last))
-
-
-def margins_for(margins: Margins | None, shifts: Margins, *, relax: bool) -> Margins:
-    """Margins updated by shifts, None for none yet. With `relax` they shrink where limits hold with slack."""
-    before = [0.0] * len(shifts) if margins is None else margins
-    return tuple(
-        None if old is None or new is None else np.maximum(old + (new if relax else 1.2 * np.maximum(new, 0.0)), 0.0)
-        for old, new in zip(before, shifts, strict=True)
-    )
-
-
-def tightened(transcribed: AbstractTranscribed, margins: Margins) -> NonlinearProgram:
-    """The program with the bounds of path constraints moved inwards by margins."""
-    program = transcribed.program
-    lower, upper = program.constraint_lower.copy(), program.constraint_upper.copy()
-    for rows, margin in zip(transcribed.rows, margins, strict=True):
-        if margin is not None:
-            moved = np.repeat(margin, (rows.stop - rows.start) // len(margin))
-            lower[rows], upper[rows] = lower[rows] + moved, upper[rows] - moved
-    return replace(program, constraint_lower=lower, constraint_upper=upper)

@@ -1,5 +1,6 @@
 """The declared problem: functionals of outputs, statistics of them, bounds, cost curves."""
 
+from aleator.design._check import destabilised as destabilised
 from aleator.design._control import Control as Control
 from aleator.design._equations import refuse_changed_code as refuse_changed_code
 from aleator.design._equations import refuse_other_code as refuse_other_code

@@ -1,6 +1,7 @@
 """Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -37,6 +38,7 @@ from aleator.dynamics import (
     refuse_unknown_event,
     within,
 )
+from aleator.ensemble import corners_of
 from aleator.expansion import Expansion, MultiElement
 from aleator.statistics import Sobol, refuse_correlated
 from aleator.trajectories import piecewise_in
@@ -55,6 +57,8 @@ from aleator.uncertainty import (
 
 # Quantile at which unbounded variables are tried, on either side: one realisation in a billion lies beyond.
 _TAIL = 1e-9
+# Part of the names of decided gains; the most corners of their bounds at which they are tried, and points inside.
+_GAINS, _CORNERS, _INSIDE = ".feedback.gains.", 16, 8
 
 
 def check(problem: AbstractProblem) -> None:
@@ -216,14 +220,43 @@ def _refuse_diagnosed(problem: AbstractProblem) -> None:
     """
     if all(type(one.system).diagnose is AbstractSystem.diagnose for one in problem.simulation.phases.values()):
         return
-    start = jax_array(problem.placements.vector("initial"))
-    _refuse(_at_means(problem, start), "")
-    for germ in _extremes(list(problem.placements.germs.values())):
-        numbers = uncertain_numbers(problem.placements, jax_array(germ), start)
-        where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
-        _refuse(realise(problem.simulation, jax_array(germ), start), f" In the system with {where}.")
+    for simulation, who in _systems(problem, problem.placements.vector("initial")):
+        _refuse(simulation, who)
     for name, decisions in _bounds(problem):
         _refuse(_at_means(problem, decisions), f" In the system with {name}.")
+
+
+def destabilised(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> str:
+    """That decided gains let errors grow, at a design and wherever else within their bounds, with the system; empty if
+    there are none or some do not. A linearisation at the start of the plan tells it.
+    """
+    places = problem.placements
+    gains = [np.r_[place.where] for name, place in places.decisions.items() if _GAINS in f".{name}."]
+    where = np.concatenate([np.zeros(0, int), *gains])
+    lower, upper = (places.vector(end)[where] for end in ("lower", "upper"))
+    if not where.size or not np.isfinite([lower, upper]).all():
+        return ""
+    generator = np.random.default_rng(0)
+    tried = np.concatenate([corners_of(len(where), _CORNERS, generator), generator.random((_INSIDE, len(where)))])
+    others = np.tile(decisions, (len(tried), 1))
+    others[:, where] = lower + tried * (upper - lower)
+    for i, (simulation, who) in enumerate(_systems(problem, decisions)):
+        said = simulation.system.destabilised(simulation.grid)
+        same = (next(itertools.islice(_systems(problem, one), i, None))[0] for one in others)
+        if said and all(one.system.destabilised(one.grid) for one in same):
+            return f"{said}{who} So it is with all {len(tried)} gains that were tried within their bounds: widen these."
+    return ""
+
+
+def _systems(problem: AbstractProblem, decisions: Any) -> Iterator[tuple[Simulation, str]]:
+    """The system at the means; then with each uncertain number at either end of its distribution, and a sentence with
+    these numbers.
+    """
+    yield _at_means(problem, decisions), ""
+    for germ in map(jax_array, _extremes(list(problem.placements.germs.values()))):
+        numbers = uncertain_numbers(problem.placements, germ, jax_array(decisions))
+        where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
+        yield realise(problem.simulation, germ, jax_array(decisions)), f" In the system with {where}."
 
 
 def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:

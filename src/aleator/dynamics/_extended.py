@@ -104,3 +104,7 @@ class AbstractExtended(System):
     @override
     def diagnose(self, grid: Any) -> str:
         return self.own.diagnose(grid)
+
+    @override
+    def destabilised(self, grid: Any) -> str:
+        return self.own.destabilised(grid)

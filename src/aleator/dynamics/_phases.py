@@ -212,6 +212,11 @@ class LinkedSystems(AbstractSystem):
         each = ((name, first), *((name, system.plain) for name, system in later))
         return next(filter(None, (system.diagnose(grid.grids[name]) for name, system in each)), "")
 
+    @override
+    def destabilised(self, grid: Any) -> str:
+        name, first = next(iter(self.phases.items()))
+        return first.destabilised(grid.grids[name])
+
 
 @final
 @transparent("grids")

@@ -66,6 +66,13 @@ class AbstractSystem(Module, Printed):
         del grid
         return ""
 
+    def destabilised(self, grid: Any) -> str:
+        """That feedback lets errors of the realised system grow faster than without, in a sentence; empty if it does
+        not, or there is none.
+        """
+        del grid
+        return ""
+
 
 class System(AbstractSystem):
     """A dynamical system `dz/dt = rhs(t, z, inputs)` with outputs: ordinary physics, written once.

@@ -293,10 +293,16 @@ class ClosedLoop(AbstractExtended):
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        said = self.own.diagnose(grid)
-        if said or self.means is None or not self.feedback.is_judged:
-            return said
-        return unstable(self.feedback.gains, self.model, self.means.inputs, grid, self.of, self.to)
+        return self.own.diagnose(grid) or (self._unstable(self.model, grid) if self.feedback.is_judged else "")
+
+    @override
+    def destabilised(self, grid: Grid) -> str:
+        return self._unstable(self.own, grid)
+
+    def _unstable(self, model: System, grid: Grid) -> str:
+        if self.means is None or not self.to:
+            return ""
+        return unstable(self.feedback.gains, model, self.means.inputs, grid, self.of, self.to)
 
 
 def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any, grid: Any) -> ClosedLoop:

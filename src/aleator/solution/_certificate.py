@@ -147,7 +147,7 @@ class Between(Printed):
     - `is_strict`: whether the design depends on what happens between instants: because bounds were tightened for it, or
       because the system follows trajectories. Evidence then counts violations on the finer grid too;
     - `cost`: how much worse the objective is than the optimum that holds at the instants alone, relative to the larger
-      of both: what tightening costs at most. The best design that holds between instants too lies between these two.
+      of both: what tightening costs at most, since the best design lies between; zero where no bound is tightened.
     """
 
     factor: int

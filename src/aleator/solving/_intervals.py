@@ -19,6 +19,7 @@ from aleator.certification import (
     OWN_ERROR,
     Held,
     Margins,
+    Shifts,
     begin_check,
     check_factor,
     diagnose,
@@ -128,7 +129,7 @@ def _checked(
     scenarios: Sequence[Scenario],
     cost: float,
     margins: Margins | None,
-) -> Iterator[tuple[Held, Margins]]:
+) -> Iterator[tuple[Held, Shifts]]:
     """The answer in each scenario, and what limits between the instants require; `cost`: that of present margins."""
     transcribed, factor = game.transcribed, check_factor(game.problem, stages.between)
     each = [Held(transcribed, one) for one in game.within(scenarios, outcome)]
@@ -138,15 +139,18 @@ def _checked(
     for one, wait in [(one, begin_check(transcribed, one.outcome.point, factor)) for one in each]:
         check, between, shifts = wait(), None, ()
         if factor > 1 and stages.judges_between(game.problem):
-            between, shifts = excess_between(check)
+            between, shifts = excess_between(check, at_peaks=False)
             is_strict = stages.between is not None or margins is not None or pieces(game.problem) > 0
             between = replace(between, is_strict=is_strict, cost=cost)
         yield one._replace(check=check, between=between), shifts
 
 
-def _largest(shifts: Sequence[Margins]) -> Margins:
+def _largest(shifts: Sequence[Shifts]) -> Shifts:
     """By how much bounds are to move for all scenarios."""
-    return tuple(None if some[0] is None else functools.reduce(np.maximum, some) for some in zip(*shifts, strict=True))
+    return tuple(
+        None if some[0] is None else some[0]._replace(by=functools.reduce(np.maximum, (one.by for one in some)))
+        for some in zip(*shifts, strict=True)
+    )
 
 
 def _solution(

@@ -138,9 +138,9 @@ def solve(
       its decisions and, where states are variables, the states. For problems that are hard to start: a way for one
       system is found sooner than for many. `solution.effort.at_means` tells how that ended;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
-      exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
-      than a thousandth of it nevertheless has failed. 1 leaves that out. By default 11 for systems that follow
-      trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
+      exceeded between two instants, the peak there is limited, or the bounds are tightened, until they hold; a solution
+      that exceeds one by more than a thousandth of it nevertheless has failed. 1 leaves that out. By default 11 for
+      systems that follow trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
     - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. It
       is told by a finer grid and an integrator of another order. A solution whose objective is off by more than this
       part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;

@@ -28,6 +28,7 @@ from aleator.certification import (
     magnitudes_at,
     margins_for,
     misled_at,
+    narrows,
     pieces,
     prepare_check,
     scenarios_at_start,
@@ -36,7 +37,7 @@ from aleator.certification import (
     worst_case_limits,
     worst_case_of,
 )
-from aleator.design import Problem, is_over_time
+from aleator.design import Problem, destabilised, is_over_time
 from aleator.nlp import (
     HELD,
     AbstractSearch,
@@ -126,6 +127,9 @@ class Stages(NamedTuple):
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
+        if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
+            said = destabilised(problem, transcribed.decisions(outcome.point))
+            outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
         # Judge the grid.
         is_solved, misled = outcome.status is Status.SOLVED, ""
         is_unknown = multipliers is None and not self.transcription.is_guessed
@@ -241,7 +245,8 @@ class Stages(NamedTuple):
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
     def _held_between(self, held: Held, factor: int) -> Held:
-        """Tighten bounds at instants between which limits break, and solve again, until they hold.
+        """Impose limits at the peaks between instants that break them, or tighten bounds at the instants beside, and
+        solve again, until they hold.
 
         An outcome that is not solved is returned unchanged.
         """
@@ -253,7 +258,7 @@ class Stages(NamedTuple):
         if factor == 1 or not self.judges_between(transcribed.problem):
             return held._replace(check=check)
         between, shifts = excess_between(check)
-        best = outcome, check, between
+        best, loosest, cost = (outcome, check, between), outcome.evaluation.objective, 0.0
         rounds, margins, latest = [outcome], None, between
         while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
@@ -265,14 +270,14 @@ class Stages(NamedTuple):
             if again.status is not Status.SOLVED:
                 break
             check = begin_check(transcribed, again.point, factor)()
-            latest, shifts = excess_between(check)
+            latest, shifts = excess_between(check, margins)
             rounds.append(again)
             if latest.worst <= best[2].worst:
                 best = again, check, latest
+                cost = cost_of_margins(loosest, again.evaluation.objective) if narrows(transcribed, margins) else 0.0
             elif best[2].holds:
                 break  # Tighter bounds may make the plan bulge more between them.
         answer, check, between = best
-        cost = cost_of_margins(outcome.evaluation.objective, answer.evaluation.objective)
         is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
         answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
         return held._replace(outcome=answer, between=replace(between, is_strict=is_strict, cost=cost), check=check)
