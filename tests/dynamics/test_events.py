@@ -25,7 +25,7 @@ from bouncing import (
     second_flight,
 )
 from compiling import compiled
-from zoo import G, Shot
+from zoo import G, Shot, cases
 
 FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
 
@@ -37,20 +37,23 @@ def landing(speed, angle, height):
     return jnp.stack([t, speed * jnp.cos(angle) * t])
 
 
-@pytest.mark.parametrize("integrator", [*FIXED, *ADAPTIVE], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize(
+    "integrator", cases([FIXED[0], ADAPTIVE[1], FIXED[1], ADAPTIVE[0]], 2), ids=lambda one: type(one).__name__
+)
 def test_a_ball_bounces_wherever_in_a_step_and_twice_in_one(integrator):
     history = al.simulate(Ball(), al.Grid(1.2, 2), integrator=integrator)
     assert float(history["h"][-1]) == pytest.approx(float(second_flight(0.7, 1.0, 1.2)), abs=1e-13)
 
 
-def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
+@pytest.mark.parametrize("order", cases([2, 3]))
+def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order(order):
     def simulated(at):
         return al.simulate(Ball(at[0], at[1]), al.Grid(1.2, 12), only=["h"])["h"][-1]
 
     def exact(at):
         return second_flight(at[0], at[1], 1.2)
 
-    for ours, right in agreeing(simulated, exact, [0.7, 1.0], 3):
+    for ours, right in agreeing(simulated, exact, [0.7, 1.0], order):
         assert ours == pytest.approx(right, rel=1e-9)
 
 
@@ -116,7 +119,7 @@ def test_the_probability_to_land_beyond_a_distance_is_that_of_the_speed_that_rea
     assert float(found.probability(above=41.0)) == pytest.approx((21.0 - slowest) / 2, abs=1e-8)
 
 
-@pytest.mark.parametrize("integrator", [None, *ADAPTIVE], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("integrator", cases([None, *ADAPTIVE]), ids=lambda one: type(one).__name__)
 def test_an_uncertain_restitution_spreads_the_height_as_the_closed_form_says(integrator):
     found = al.expand(
         lambda at: al.simulate(Ball(at["e"]), al.Grid(1.2, 12), integrator=integrator)["h"][-1],
@@ -155,7 +158,7 @@ def test_a_declared_jump_before_the_end_divides_its_step():
     assert float(history["time"][-1]) == pytest.approx(0.7 + 0.255 / 0.7, rel=1e-12)
 
 
-@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("degree", cases([0, 1]))
 def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends(degree):
     # Accelerations that are polynomials between nodes are integrated exactly if no step crosses one.
     levels = np.array([0.2, 0.9, -0.4, 0.5, 0.3])[: 4 + degree]
@@ -199,7 +202,7 @@ class Rocket(al.System):
 def test_a_jump_may_take_the_function_of_its_event_anywhere():
     # Tsiolkovsky, stage by stage: the first one burns until 0.6 s.
     history = al.simulate(Rocket(), al.Grid(1.0, 50))
-    assert float(history["v"][-1]) == pytest.approx(3 * np.log(1.0 / 0.7) + 3 * np.log(0.5 / 0.3), abs=1e-6)
+    assert np.asarray(history["v"])[-1] == pytest.approx(3 * np.log(1.0 / 0.7) + 3 * np.log(0.5 / 0.3), abs=1e-6)
 
 
 class Switched(Ball):

@@ -9,6 +9,7 @@ import aleator as al
 from aleator.transcription import transcribe
 from zoo import LOSS, ONE_STEP, RESPONSE, algebraic, derivative_error, gain_problem, optimum
 
+
 class Kick(al.System):
     """`x = a theta + shift + bend (theta² + theta shift)`, no dynamics; a vector and a product beside it."""
 
