@@ -331,7 +331,7 @@ def test_what_runs_away_is_named_at_its_first_time():
     assert f"t = {first} s" in str(told[0].message)
     # What stays finite is not warned of, nor what is traced.
     assert np.isfinite(al.simulate(Explosion(), al.Grid(0.5, 40))["x"]).all()
-    assert not np.isfinite(compiled(lambda x: al.simulate(Explosion(x), al.Grid(40.0, 40))["x"])(1.0)[-1])
+    assert not np.isfinite(np.asarray(compiled(lambda x: al.simulate(Explosion(x), al.Grid(40.0, 40))["x"])(1.0))[-1])
 
 
 @pytest.mark.parametrize(
