@@ -35,9 +35,9 @@ class Ball(al.System):
         return {"h": z.y, "v": z.v}
 
 
-def second_flight(e, height, t):
+def second_flight(e, height, t, sqrt=np.sqrt):
     """The height of the ball between its second bounce and the third one."""
-    first = jnp.sqrt(2 * height / G)
+    first = sqrt(2 * height / G)
     after = t - first * (1 + 2 * e)
     return e**2 * G * first * after - G / 2 * after**2
 

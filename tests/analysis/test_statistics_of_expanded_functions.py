@@ -49,7 +49,9 @@ def kinked(m):
     return {"y": jnp.abs(m["a"] - 0.3) + 0.2 * m["b"], "a": m["a"]}
 
 
-def test_statistics_over_elements_are_those_of_a_large_sample():
+# Each kind of tail is a program that takes long to compile: by default quantiles alone.
+@pytest.mark.parametrize("first", [6, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "every"])
+def test_statistics_over_elements_are_those_of_a_large_sample(first):
     pieces = al.expand(kinked, MODEL, al.MultiElement(order=3, error=1e-3))
     at = np.linspace(0.0, 0.8, 9)
     generator = np.random.default_rng(7)
@@ -69,8 +71,8 @@ def test_statistics_over_elements_are_those_of_a_large_sample():
         (lambda one: one["y"].cdf(at), np.searchsorted(np.sort(y), at) / len(y), 4e-3),
         (lambda one: one["y"].pdf(at), np.array([np.mean(abs(y - value) < 0.01) / 0.02 for value in at]), 0.06),
     ]
-    for found, (_, expected, accuracy) in zip(answers(pieces, [ask for ask, *_ in asked]), asked, strict=True):
-        np.testing.assert_allclose(found, expected, atol=accuracy)
+    for ask, expected, accuracy in asked[:first]:
+        np.testing.assert_allclose(ask(pieces), expected, atol=accuracy)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 import scipy.stats
 
 import aleator as al
-from zoo import algebraic
+from zoo import algebraic, cases
 
 Exponential = algebraic(lambda c, x: {"g": jnp.exp(c * x), "c": c})
 
@@ -20,11 +20,13 @@ def solved(c, x, limit, order, sign):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     ("limit", "of", "sign"),
-    [
-        (al.output("g").skewness >= 0.4, scipy.stats.skew, 1),
-        (al.output("g").skewness <= 0.5, scipy.stats.skew, -1),
-        (al.output("g").kurtosis >= 3.5, lambda values: scipy.stats.kurtosis(values, fisher=False), 1),
-    ],
+    cases(
+        [
+            (al.output("g").skewness >= 0.4, scipy.stats.skew, 1),
+            (al.output("g").skewness <= 0.5, scipy.stats.skew, -1),
+            (al.output("g").kurtosis >= 3.5, lambda values: scipy.stats.kurtosis(values, fisher=False), 1),
+        ]
+    ),
     ids=["lower", "upper", "kurtosis"],
 )
 def test_a_shape_that_polynomials_owe_to_what_never_occurs_is_no_answer(limit, of, sign):
@@ -41,10 +43,12 @@ def test_a_shape_that_polynomials_owe_to_what_never_occurs_is_no_answer(limit, o
 
 @pytest.mark.parametrize(
     ("limit", "bound", "of"),
-    [
-        (al.output("g").skewness <= 1.0, 1.0, "s"),
-        (al.output("g").kurtosis <= 30.0, 27.0, "k"),  # SciPy tells the excess over 3
-    ],
+    cases(
+        [
+            (al.output("g").skewness <= 1.0, 1.0, "s"),
+            (al.output("g").kurtosis <= 30.0, 27.0, "k"),  # SciPy tells the excess over 3
+        ]
+    ),
     ids=["skewness", "kurtosis"],
 )
 def test_a_shape_that_the_expansion_has_is_confirmed_though_its_tail_is_heavy(limit, bound, of):

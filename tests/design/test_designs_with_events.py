@@ -29,16 +29,23 @@ def landing(angle, c):
 LANDED = al.Grid(until="ground", at_most=10.0, steps=80)
 
 
-@cache
-def solution():
-    problem = al.Problem(
-        Shot(angle=al.Decision(0.6, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0),
+def shot(angle=0.6):
+    return Shot(angle=al.Decision(angle, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0)
+
+
+def farthest():
+    return al.Problem(
+        shot(),
         grid=LANDED,
         minimize=al.terminal("x").std - al.terminal("x").mean,
         subject_to=[al.at("top", "y").mean <= 100.0, al.at("ground").mean <= 100.0, al.integral("vx").mean <= 100.0],
         expansion=al.Expansion(order=6),
     )
-    return al.solve(problem)
+
+
+@cache
+def solution():
+    return al.solve(farthest())
 
 
 def test_the_angle_of_the_best_mean_less_spread_is_that_which_scipy_finds():
@@ -66,9 +73,7 @@ def test_the_angle_of_the_best_mean_less_spread_is_that_which_scipy_finds():
 
 def test_no_program_tells_instants_that_nobody_asks_for(monkeypatch):
     monkeypatch.setattr("aleator.design._response._INSTANTS", None)
-    limits = [al.at("ground").mean <= 100.0]
-    shot = Shot(angle=al.Decision(0.6, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0)
-    assert al.solve(al.Problem(shot, grid=LANDED, minimize=-al.terminal("x").mean, subject_to=limits)).ok
+    assert al.solve(farthest()).ok
 
 
 def test_a_solution_tells_the_times_at_the_means_and_those_of_each_system():
@@ -87,11 +92,7 @@ def test_fresh_systems_end_at_their_own_time_too():
 
 
 def problem(system=None, grid=LANDED, minimize=None, **options):
-    system = (
-        Shot(angle=al.Decision(0.6, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0)
-        if system is None
-        else system
-    )
+    system = shot() if system is None else system
     return al.Problem(system, grid=grid, minimize=al.terminal("x").mean if minimize is None else minimize, **options)
 
 
@@ -99,15 +100,9 @@ def problem(system=None, grid=LANDED, minimize=None, **options):
 def test_a_system_that_never_meets_the_event_is_named_with_the_share_of_such():
     grid = al.Grid(until="ground", at_most=2.45, steps=20)
     with pytest.raises(al.SimulationError, match=r"never meets 'ground'.*from 0 to 2.45 s.*one of 4 that fail"):
-        al.solve(problem(Shot(angle=al.Decision(0.7, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0), grid))
+        al.solve(problem(shot(0.7), grid))
     with pytest.raises(al.SimulationError, match=r"c=.*never meets 'top', which is asked for by al.at"):
-        al.solve(
-            problem(
-                Shot(angle=al.Decision(0.7, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0),
-                al.Grid(0.5, 5),
-                al.at("top").mean,
-            )
-        )
+        al.solve(problem(shot(0.7), al.Grid(0.5, 5), al.at("top").mean))
 
 
 def test_what_has_no_meaning_with_events_is_refused_where_it_is_declared():

@@ -246,6 +246,7 @@ def delayed(part):
     return Delayed()
 
 
+@pytest.mark.slow
 def test_a_chain_of_delays_costs_what_betts_publishes():
     inputs = {f"u{i}": al.Control(0.0, degree=1) for i in range(1, 7)}
     parts = {
@@ -286,7 +287,7 @@ def test_a_simulation_returns_the_outputs_of_each_phase():
     found = al.simulate(phases)
     ends = flown(500.0, 2.0)
     for name, right in zip(("first", "second"), ends, strict=True):
-        assert [found[f"{name}.{one}"][-1] for one in "hvm"] == pytest.approx(right, rel=1e-7)
+        assert [np.asarray(found[f"{name}.{one}"])[-1] for one in "hvm"] == pytest.approx(right, rel=1e-7)
     with pytest.raises(al.ProblemError, match=r"names of their phases, such as 'first.h'; received \['h'\]"):
         al.simulate(phases, only=["h"])
 

@@ -25,32 +25,35 @@ from bouncing import (
     second_flight,
 )
 from compiling import compiled
-from zoo import G, Shot
+from zoo import G, Shot, cases
 
 FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
 
 
-def landing(speed, angle, height):
+def landing(speed, angle, height, library=np):
     """When and where a body without drag lands."""
-    up = speed * jnp.sin(angle)
-    t = (up + jnp.sqrt(up**2 + 2 * G * height)) / G
-    return jnp.stack([t, speed * jnp.cos(angle) * t])
+    up = speed * library.sin(angle)
+    t = (up + library.sqrt(up**2 + 2 * G * height)) / G
+    return library.stack([t, speed * library.cos(angle) * t])
 
 
-@pytest.mark.parametrize("integrator", [*FIXED, *ADAPTIVE], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize(
+    "integrator", cases([FIXED[0], ADAPTIVE[1], FIXED[1], ADAPTIVE[0]], 2), ids=lambda one: type(one).__name__
+)
 def test_a_ball_bounces_wherever_in_a_step_and_twice_in_one(integrator):
     history = al.simulate(Ball(), al.Grid(1.2, 2), integrator=integrator)
-    assert float(history["h"][-1]) == pytest.approx(float(second_flight(0.7, 1.0, 1.2)), abs=1e-13)
+    assert np.asarray(history["h"])[-1] == pytest.approx(second_flight(0.7, 1.0, 1.2), abs=1e-13)
 
 
-def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
+@pytest.mark.parametrize("order", cases([2, 3]))
+def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order(order):
     def simulated(at):
         return al.simulate(Ball(at[0], at[1]), al.Grid(1.2, 12), only=["h"])["h"][-1]
 
     def exact(at):
-        return second_flight(at[0], at[1], 1.2)
+        return second_flight(at[0], at[1], 1.2, jnp.sqrt)
 
-    for ours, right in agreeing(simulated, exact, [0.7, 1.0], 3):
+    for ours, right in agreeing(simulated, exact, [0.7, 1.0], order):
         assert ours == pytest.approx(right, rel=1e-9)
 
 
@@ -59,7 +62,7 @@ def test_the_end_of_a_grid_and_its_derivatives_are_those_of_the_closed_form():
         history = al.simulate(Shot(at[0], at[1], at[2]), LANDED)
         return jnp.stack([history["time"][-1], history["x"][-1]])
 
-    for ours, right in agreeing(simulated, lambda at: landing(at[0], at[1], at[2]), [20.0, 0.7, 1.0], 2):
+    for ours, right in agreeing(simulated, lambda at: landing(*at, library=jnp), [20.0, 0.7, 1.0], 2):
         assert ours == pytest.approx(right, rel=1e-9, abs=1e-10)
 
 
@@ -103,7 +106,7 @@ def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
     found = al.expand(lambda at: al.simulate(Shot(**at), LANDED)["x"][-1], numbers, al.Expansion(order=7))
     nodes, weights = np.polynomial.legendre.leggauss(12)
     grids = np.meshgrid(*((low + high) / 2 + (high - low) / 2 * nodes for low, high in ends.values()), indexing="ij")
-    values, weight = np.asarray(compiled(landing)(*grids)[1]), np.einsum("i,j,k->ijk", *[weights / 2] * 3)
+    values, weight = landing(*grids)[1], np.einsum("i,j,k->ijk", *[weights / 2] * 3)
     mean = np.sum(weight * values)
     assert float(found.mean) == pytest.approx(mean, rel=1e-8)
     assert float(found.std) == pytest.approx(np.sqrt(np.sum(weight * (values - mean) ** 2)), rel=1e-8)
@@ -125,7 +128,7 @@ def test_the_probability_to_land_beyond_a_distance_is_that_of_the_speed_that_rea
     assert float(found.probability(above=41.0)) == pytest.approx(right, abs=1e-8)
 
 
-@pytest.mark.parametrize("integrator", [None, *ADAPTIVE], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("integrator", cases([None, *ADAPTIVE]), ids=lambda one: type(one).__name__)
 def test_an_uncertain_restitution_spreads_the_height_as_the_closed_form_says(integrator):
     found = al.expand(
         lambda at: al.simulate(Ball(at["e"]), al.Grid(1.2, 12), integrator=integrator)["h"][-1],
@@ -155,16 +158,16 @@ THERE = al.Grid(until="there", at_most=4.0, steps=8)
 def test_an_input_is_the_same_function_of_time_whenever_the_grid_ends():
     # A ramp over the 4 s of the grid, force = t: x = t^3 / 6.
     history = al.simulate(Pushed(), THERE, {"force": al.PowerSeries(start=(0.0,), end=(4.0,))})
-    assert float(history["time"][-1]) == pytest.approx(3 ** (1 / 3), rel=1e-12)
+    assert np.asarray(history["time"])[-1] == pytest.approx(3 ** (1 / 3), rel=1e-12)
 
 
 def test_a_declared_jump_before_the_end_divides_its_step():
     # Force 1 up to 0.7 s, 0 later: x = 0.245 + 0.7 (t - 0.7).
     history = al.simulate(Pushed(), THERE, {"force": al.StepFunction([0.7], [1.0, 0.0])})
-    assert float(history["time"][-1]) == pytest.approx(0.7 + 0.255 / 0.7, rel=1e-12)
+    assert np.asarray(history["time"])[-1] == pytest.approx(0.7 + 0.255 / 0.7, rel=1e-12)
 
 
-@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("degree", cases([0, 1]))
 def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends(degree):
     # Accelerations that are polynomials between nodes are integrated exactly if no step crosses one.
     levels = np.array([0.2, 0.9, -0.4, 0.5, 0.3])[: 4 + degree]
@@ -208,7 +211,7 @@ class Rocket(al.System):
 def test_a_jump_may_take_the_function_of_its_event_anywhere():
     # Tsiolkovsky, stage by stage: the first one burns until 0.6 s.
     history = al.simulate(Rocket(), al.Grid(1.0, 50))
-    assert float(history["v"][-1]) == pytest.approx(3 * np.log(1.0 / 0.7) + 3 * np.log(0.5 / 0.3), abs=1e-6)
+    assert np.asarray(history["v"])[-1] == pytest.approx(3 * np.log(1.0 / 0.7) + 3 * np.log(0.5 / 0.3), abs=1e-6)
 
 
 class Switched(Ball):
@@ -224,7 +227,7 @@ def test_functions_of_events_take_inputs():
     grid = al.Grid(0.6, 6)
     history = al.simulate(Switched(), grid, {"speed": al.StepFunction([0.1], [3.0, 1.0])})
     after = 0.6 - np.sqrt(2 / G)
-    assert float(history["h"][-1]) == pytest.approx(after - G / 2 * after**2, abs=1e-12)
+    assert np.asarray(history["h"])[-1] == pytest.approx(after - G / 2 * after**2, abs=1e-12)
     with pytest.raises(al.ProblemError, match="speed"):
         al.simulate(Switched(), grid)
 
@@ -323,6 +326,6 @@ def test_a_mechanical_model_has_events_in_forward_dynamics_alone():
     history = al.simulate(al.ForwardDynamics(Hanging(), start={"height": 1.0}), grid)
     after = 2 * (1.5 - hit)
     right = -0.5 * np.cos(after) + 0.25 * np.sqrt(3) * np.sin(after)
-    assert float(history["height"][-1]) == pytest.approx(right, abs=1e-8)
+    assert np.asarray(history["height"])[-1] == pytest.approx(right, abs=1e-8)
     prescribed = al.InverseDynamics(Hanging(), motion={"height": al.PowerSeries(start=(1.0,), end=(-1.0,))})
     assert np.isfinite(al.simulate(prescribed, grid)["height"]).all()

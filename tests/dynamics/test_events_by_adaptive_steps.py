@@ -8,7 +8,7 @@ import pytest
 import aleator as al
 from bouncing import ADAPTIVE, LANDED, Ball, Grazing, Parts, Stopped, agreeing, refused
 from compiling import compiled
-from zoo import G, Shot
+from zoo import G, Shot, cases
 
 
 class Dragged(Ball):
@@ -42,7 +42,7 @@ def dragged(e, t):
     return fall(t - first, 0.0, -e * fall(first, 1.0, 0.0)[1])[0]
 
 
-@pytest.mark.parametrize("integrator", ADAPTIVE, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("integrator", cases(ADAPTIVE), ids=lambda one: type(one).__name__)
 def test_adaptive_steps_end_at_events_with_derivatives_and_algebraic_variables(integrator):
     grid = al.Grid(0.9, 2)
 
@@ -54,7 +54,7 @@ def test_adaptive_steps_end_at_events_with_derivatives_and_algebraic_variables(i
     assert slopes[0] == pytest.approx(slopes[1], rel=1e-7)
 
 
-@pytest.mark.parametrize("integrator", ADAPTIVE, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("integrator", cases(ADAPTIVE), ids=lambda one: type(one).__name__)
 def test_an_adaptive_integrator_ends_at_an_event_with_the_derivatives_of_the_closed_form(integrator):
     def simulated(angle):
         return al.simulate(Shot(20.0, angle), al.Grid(until="ground", at_most=4.0, steps=4), integrator=integrator)

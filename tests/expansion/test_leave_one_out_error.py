@@ -86,7 +86,7 @@ def test_the_error_of_each_entry_is_that_of_the_entry_alone():
     collocation = collocate(GERMS, al.Expansion(3, points=al.points.ChristoffelPoints(30)))
     one = histories(collocation.points)
     samples = np.stack([one, 3 + one**2, np.full(one.shape, 0.3)], axis=2)
-    each = by_entry(collocation, samples)
+    each = np.asarray(by_entry(collocation, samples))
     alone = [[error_of(collocation, samples[:, i, j]) for j in range(3)] for i in range(7)]
     assert each == pytest.approx(np.array(alone), rel=1e-8)
     assert np.array_equal(each[:, 2], np.zeros(7))  # what does not vary has no error of its own

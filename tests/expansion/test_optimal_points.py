@@ -1,6 +1,5 @@
 """Christoffel and optimal points: conditioning at high order, weights, and the accuracy that comes of it."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -62,5 +61,5 @@ def test_an_exponential_of_a_normal_number_has_its_coefficients_in_closed_form(p
     # exp(x) = sqrt(e) times the sum of He_k(x) / k!, of norm sqrt(k!)
     _, collocation = collocate(NORMAL, al.Expansion(14, points=points))
     factorials = np.cumprod([1.0, *range(1, 15)])
-    ours = collocation.coefficients(jnp.exp(collocation.points[:, 0]))
+    ours = collocation.coefficients(np.exp(np.asarray(collocation.points)[:, 0]))
     assert ours == pytest.approx(np.sqrt(np.e) / np.sqrt(factorials), abs=2e-5)

@@ -10,6 +10,7 @@ from boxed_functions import assert_same
 import aleator as al
 import black_boxes as boxes
 from aleator.foreign._ask import answers
+from zoo import cases
 
 TWO = {"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Normal(2.0, 0.1)}
 ORDER = al.Expansion(order=3)
@@ -39,11 +40,13 @@ def test_arrays_that_are_told_give_the_bits_of_the_function(asked, direct):
 
 @pytest.mark.parametrize(
     ("model", "expansion"),
-    [
-        (al.correlated(TWO, {("x", "z"): 0.5}), al.Expansion(3, tolerance=0.2)),
-        (TWO, al.Expansion(4, fit=al.fits.Sparse())),
-        ({"x": al.Uniform.bounds(-1.0, 1.0), "z": 2.0}, ORDER),
-    ],
+    cases(
+        [
+            (al.correlated(TWO, {("x", "z"): 0.5}), al.Expansion(3, tolerance=0.2)),
+            (TWO, al.Expansion(4, fit=al.fits.Sparse())),
+            ({"x": al.Uniform.bounds(-1.0, 1.0), "z": 2.0}, ORDER),
+        ]
+    ),
 )
 def test_what_is_asked_is_what_expand_would_evaluate(model, expansion):
     asked = al.foreign.ask(model, expansion)

@@ -11,11 +11,12 @@ from compiling import compiled
 from rod_models import Rod
 from rods import here
 from test_documents import code_of
+from zoo import cases
 
 GRID = al.Grid(1.0, 20)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", cases([2, 3]))
 def test_a_system_of_an_fmu_moves_as_the_same_system_written_here_to_rounding(rods, version):
     system = al.foreign.FmuSystem(here(rods(version)), {"damping": 0.2, "rod.length": 1.1, "angle": 0.7})
     assert system.states == ("angle", "rate")

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import aleator as al
 from compiling import compiled
+from zoo import cases
 
 URDF = """<?xml version="1.0"?>
 <robot name="pendulum">
@@ -46,7 +47,7 @@ MJCF = """<mujoco>
 """
 
 
-@pytest.mark.parametrize(("read", "text"), [(al.foreign.read_urdf, URDF), (al.foreign.read_mjcf, MJCF)])
+@pytest.mark.parametrize(("read", "text"), cases([(al.foreign.read_mjcf, MJCF), (al.foreign.read_urdf, URDF)]))
 def test_the_motion_of_a_pendulum_and_its_derivative_by_the_mass_are_those_of_scipy(tmp_path, read, text):
     (tmp_path / "pendulum.xml").write_text(text)
     robot = read(tmp_path / "pendulum.xml")

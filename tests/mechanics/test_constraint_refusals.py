@@ -61,7 +61,7 @@ def twice():
 
 REFUSED = {
     "a start that is not found": (
-        lambda: al.simulate(al.ForwardDynamics(Hung()), GRID),
+        forward(Hung(), guess={}),
         ["no start near x = 0, y = 0 satisfies its constraints", "guess="],
     ),
     "lengths that do not reach": (
@@ -81,11 +81,11 @@ REFUSED = {
         ["dead centre", "how 'crank', 'rod' follow"],
     ),
     "a complete start that contradicts": (
-        forward(SliderCrank(), {"crank": 0.5, "rod": -0.16, "slider": 0.5}),
-        ["names all coordinates", "contradicts its constraints", "length = -0.116"],
+        forward(Hung(), {"x": 0.5, "y": 0.5, "x_rate": 0.0, "y_rate": 0.0}, {}),
+        ["names all coordinates", "contradicts its constraints", "rod = -0.5"],
     ),
     "velocities that contradict": (
-        forward(SliderCrank(), {"crank": 0.5, "crank_rate": 0.0, "rod_rate": 0.0, "slider_rate": 1.0}),
+        forward(Hung(), {"x": 1.0, "y": 0.0, "x_rate": 1.0, "y_rate": 0.0}, {}),
         ["names all velocities", "contradicts its constraints"],
     ),
     "rates that are left open": (

@@ -180,8 +180,8 @@ def test_a_moment_that_no_actuators_make_is_named_with_its_instant_and_realisati
         declared(Forearm(tone=90.0, strongest=80.0))
     with pytest.warns(al.SimulationWarning, match=short):
         found = al.simulate(al.InverseDynamics(Forearm(strongest=100.0), motion=LIFT), GRID)
-    assert np.isnan(found["flexor"][0])
-    assert found["torque_shortfall"][0] == pytest.approx(
+    assert np.isnan(np.asarray(found["flexor"])[0])
+    assert np.asarray(found["torque_shortfall"])[0] == pytest.approx(
         moment_of(simulate(al.InverseDynamics(Forearm(), motion=LIFT), GRID))[0] - 4.0
     )
 

@@ -16,7 +16,7 @@ WIND = al.processes.RandomProcess(
 
 def test_torques_spread_as_the_process_that_they_work_against():
     motion = al.BSpline(np.array([0.3, 0.6]), start=(0.0, 0.0), end=(1.0, 0.0))
-    acceleration = motion.values(np.linspace(0.0, 1.0, 9), 2.0, 2)
+    acceleration = np.asarray(motion.values(np.linspace(0.0, 1.0, 9), 2.0, 2))
     problem = al.Problem(
         al.InverseDynamics(Cart(wind=WIND), motion=MOTION),
         grid=al.Grid(2.0, 8),

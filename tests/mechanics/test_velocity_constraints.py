@@ -38,7 +38,7 @@ STATES = {
 }
 
 
-@pytest.mark.parametrize("kind", STATES)
+@pytest.mark.parametrize("kind", cases(STATES))
 def test_a_knife_edge_slides_down_and_up_the_incline_again(kind):
     found = simulate(STATES[kind], al.Grid(2.0, 400))
     turned, pull = SPIN * np.linspace(0.0, 2.0, 401), G * np.sin(SLOPE)
@@ -217,7 +217,11 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSED)
+# What diagnosis compiles takes long: by default one fault of each kind.
+COMPILED = ("a square", "a product, prescribed", "all velocities that slip", "a motion that slips")
+
+
+@pytest.mark.parametrize("case", [pytest.param(one, marks=[pytest.mark.slow] * (one in COMPILED)) for one in REFUSED])
 def test_is_refused_in_words(case):
     make, parts = REFUSED[case]
     with pytest.raises(al.ProblemError) as caught:

@@ -14,6 +14,7 @@ from scipy.special import pro_rad1
 import aleator as al
 from aleator.uncertainty import realise
 from compiling import compiled
+from zoo import cases
 
 # Few modes, on purpose: what they leave out is what these tests ask about.
 pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
@@ -25,7 +26,7 @@ SMOOTH = [
     al.processes.SquaredExponentialCovariance(0.5),
     al.processes.BandLimitedCovariance.from_psd([0.0, 0.5, 1.0, 2.0], [1.0, 3.0, 0.5, 0.0]),
 ]
-by_name = pytest.mark.parametrize("covariance", [EXPONENTIAL, *SMOOTH], ids=str)
+by_name = pytest.mark.parametrize("covariance", cases([EXPONENTIAL, *SMOOTH]), ids=str)
 
 
 def unit(covariance: al.processes.AbstractCovariance, **size: Any) -> al.processes.RandomProcess:

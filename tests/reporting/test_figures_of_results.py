@@ -228,6 +228,7 @@ def test_a_trade_off_shows_every_wish_of_every_design_or_two_chosen_by_their_nam
     assert titles(figure) == ("reach (m)", "effort (m²/s³)")
 
 
+@pytest.mark.slow
 def test_the_density_of_an_expanded_output_is_that_of_its_distribution():
     (line,) = shown.expanded().plot.density("sum <b>&").data
     x = numbers(line.x)

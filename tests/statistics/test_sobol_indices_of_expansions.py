@@ -9,13 +9,10 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Expansion, collocate
 from aleator.statistics import Sobol
 from aleator.uncertainty import HermiteGerm, LegendreGerm
-from compiling import compiled
-
-of = compiled(lambda statistic, coefficients, constants: statistic.of(coefficients, constants))
 
 
 def value(statistic, coefficients, basis):
-    return np.asarray(of(statistic, coefficients, prepare([statistic], basis).of(statistic)))
+    return np.asarray(statistic.of(np.asarray(coefficients), prepare([statistic], basis).of(statistic)))
 
 
 def ishigami():

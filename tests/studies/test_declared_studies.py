@@ -126,7 +126,10 @@ def test_nothing_is_recommended_where_a_chapter_is_stopped_before_it_recommends(
     assert page.headline().startswith("Stopped early: Nothing to build yet.")
 
 
-@pytest.mark.parametrize("name", STUDIES)
+# The four-bar takes half a minute to declare; it has tests of its own.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "four-bar")) for name in STUDIES]
+)
 def test_every_study_of_the_list_has_problems_and_a_quick_run_says_what_it_skips(name):
     for quick in (False, True):
         study = load(name, quick=quick)

@@ -126,7 +126,7 @@ OTHER = {
 
 
 def test_what_is_affine_in_features_of_the_germ_follows_from_a_few_points():
-    rng, moved = np.random.default_rng(0), jnp.asarray([1.1, 2.0])
+    rng, moved = np.random.default_rng(0), np.array([1.1, 2.0])
     points, elsewhere = rng.uniform(-1, 1, (12, 2)), rng.uniform(0.5, 2, 2)
     told = {}
 

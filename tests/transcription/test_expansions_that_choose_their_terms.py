@@ -9,7 +9,7 @@ import aleator as al
 from aleator.expansion import Adaptive, HyperbolicCross, Sparse
 from aleator.transcription import transcribe
 from aleator.transcription._discretised import _collocated
-from zoo import algebraic
+from zoo import algebraic, cases
 
 # Ten uncertain numbers, of which the first two matter.
 Many = algebraic(lambda gain, k: {"y": gain * jnp.exp(k[0] * k[1]) + 0.01 * sum(k), "loss": (gain - 4.0) ** 2})
@@ -42,7 +42,7 @@ ADAPTIVE = al.Expansion(index_set=Adaptive(error=1e-3, budget=800))
 SPARSE = al.Expansion(6, index_set=HyperbolicCross(0.7), points=200, fit=Sparse())
 
 
-@pytest.mark.parametrize("expansion", [ADAPTIVE, SPARSE], ids=["adaptive", "sparse"])
+@pytest.mark.parametrize("expansion", cases([ADAPTIVE, SPARSE]), ids=["adaptive", "sparse"])
 def test_a_chosen_expansion_gives_the_design_of_the_exact_moments(expansion):
     solution = al.solve(many_problem(expansion))
     assert solution.decisions["gain"] == pytest.approx(exact_design(), rel=1e-3)

@@ -86,7 +86,8 @@ def diagnosis(
     finite, history = np.isfinite(seen.q).all(axis=1), seen.history or {}
     begins = all(np.isfinite(history[name][0]) for name in (*model.coordinates, *model.speeds) if name in history)
     if model.constraints and not begins:
-        broken = _broken(model, jax.jit(lambda q: velocity_rule(model, q))(seen.near))
+        rules = jax.jit(lambda q: velocity_rule(model, q)) if model.velocity_constraint_names else lambda _: {}
+        broken = _broken(model, rules(seen.near))
         return broken or _missed(model, parts, times, seen, 0) or start_diagnosis(model, seen, stated, speeds)
     largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
     moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
@@ -378,7 +379,7 @@ def _linearised(model: AbstractMechanical) -> Linearised:
         G, b = rate_terms(model, model.normalised(q))
         return bound(q), jax.jacfwd(bound)(q), G, jnp.zeros(len(G)) if b is None else b
 
-    return lambda q: tuple(map(np.asarray, linearised(jnp.asarray(q))))
+    return lambda q: tuple(map(np.asarray, linearised(q)))
 
 
 def posture_text(model: AbstractMechanical, q: Any) -> str:

@@ -268,9 +268,9 @@ class AbstractFormulation(System):
 
     def path(self, grid: Grid, order: int = 0) -> Array:
         """The coordinates at each instant, those that are not prescribed as at the start; or their derivatives."""
-        others = self._others_near() if order == 0 else jnp.zeros(len(self.parts.others))
+        library, others = in_library(self._others_near() if order == 0 else np.zeros(len(self.parts.others)))
         if not self.parts.prescribed:
-            return jnp.broadcast_to(others, (len(grid.fractions), len(others)))
+            return library.broadcast_to(others, (len(grid.fractions), len(others)))
         motion = self._motion().derivative(order).sampled(grid.fractions, grid.t_start, grid.t_final)
         return motion if not len(others) else jax.vmap(lambda one: self.parts.merged(one, others))(motion)
 
@@ -297,8 +297,8 @@ class AbstractFormulation(System):
 
         def speeds() -> Array:
             """The velocities at the start as they are given."""
-            curve = (taken(system.path(grid, order)[0], self.parts.prescribed) for order in range(3))
-            position, velocity, acceleration = curve
+            curve = (np.asarray(system.path(grid, order))[0] for order in range(3))
+            position, velocity, acceleration = (taken(one, self.parts.prescribed) for one in curve)
             given = Prescribed(position, velocity, acceleration, jnp.zeros(0))
             return system._near(model.prepared(), given)[1]
 

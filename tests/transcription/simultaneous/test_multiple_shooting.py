@@ -38,7 +38,9 @@ def test_states_and_integrals_are_of_order_4_in_steps_and_in_segments():
 
     exact = solve_ivp(rate, (0.0, 2.0), [1.0, 0.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
     counts = (32, 2), (64, 2), (2, 32), (2, 64)
-    coarse, fine, few, many = (np.abs(one - exact) for one in compiled(lambda: [swung(*one) for one in counts])())
+    coarse, fine, few, many = (
+        np.abs(np.asarray(one) - exact) for one in compiled(lambda: [swung(*one) for one in counts])()
+    )
     np.testing.assert_allclose(np.log2(coarse / fine), 4.0, atol=0.15)
     np.testing.assert_allclose(np.log2(few / many), 4.0, atol=0.15)
     mean = SegmentRate(3)

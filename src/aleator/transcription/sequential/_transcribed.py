@@ -96,7 +96,7 @@ def _hessian(traced: Problem, discretised: Discretised, size: int) -> Hessian:
     triangle = scipy.sparse.csr_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
 
     def lower(x: np.ndarray, weight: float, multipliers: np.ndarray) -> Any:
-        whole = np.asarray(evaluate(_At(jnp.asarray(x), jnp.asarray(float(weight)), jnp.asarray(multipliers))))
+        whole = np.asarray(evaluate(_At(*map(jax_array, (x, float(weight), multipliers)))))
         return with_entries(triangle, whole[rows, columns])
 
     return Hessian(lower, triangle)
