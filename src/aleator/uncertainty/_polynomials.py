@@ -7,6 +7,7 @@ distribution: `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: 
 """
 
 import abc
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -22,7 +23,7 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.leaves import Module
 
 _NORMAL = NormalDist()
-# SciPy takes as long to load as a solve of a small problem; so many normal quantiles are not worth it.
+# SciPy takes as long to load as a solve of a small problem; so many normal quantiles or levels are not worth it.
 _FEW = 10_000
 
 
@@ -104,7 +105,11 @@ class HermiteGerm(AbstractGerm):
 
     @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        return scipy.special.ndtr(germ)
+        germ = np.asarray(germ, dtype=float)
+        if germ.size > _FEW:
+            return scipy.special.ndtr(germ)
+        levels = (0.5 * math.erfc(one) for one in (-germ / math.sqrt(2)).ravel().tolist())
+        return np.fromiter(levels, float, germ.size).reshape(germ.shape)
 
     @override
     def support(self) -> tuple[float, float]:
