@@ -102,9 +102,10 @@ def _until(x):
     return jax.lax.while_loop(lambda y: jnp.sum(y**2) > 1.0, lambda y: y / 2, x)
 
 
-def test_a_loop_that_ends_by_a_condition_is_compiled_with_some_optimisation():
+def test_a_loop_of_many_realisations_that_ends_by_a_condition_is_compiled_with_some_optimisation():
     x = np.ones(3)
-    assert Use.BRIEF.of(jax.make_jaxpr(jax.jit(_until))(x)) is Use.ONCE
+    assert Use.BRIEF.of(jax.make_jaxpr(jax.vmap(jax.jit(_until)))(np.ones((2, 3)))) is Use.ONCE
+    assert Use.BRIEF.of(jax.make_jaxpr(jax.jit(_until))(x)) is Use.BRIEF
     assert Use.BRIEF.of(jax.make_jaxpr(lambda x: jax.lax.fori_loop(0, 9, lambda _, y: y / 2, x))(x)) is Use.BRIEF
     np.testing.assert_allclose(Compiled(_until, use=Use.BRIEF)(x), 0.5)
 

@@ -157,6 +157,8 @@ def traceable(what: str, value: Any) -> Float[Array, "..."]:
     expected = "real numbers"
     if is_masked(value) or (isinstance(value, eqx.Module) and not hasattr(value, "__jax_array__")):
         raise refusal(what, expected, value)
+    if isinstance(value, int | float | np.generic | np.ndarray) and np.asarray(value).dtype.kind in "biuf":
+        value = np.asarray(value, dtype=float)  # of a number as it stands JAX would compile a program
     try:
         array = jnp.asarray(value)
     except jax.errors.JAXTypeError:

@@ -18,7 +18,7 @@ from jaxtyping import Array
 
 from aleator._core import programs
 from aleator._core.arrays import Layout, Pytree, is_real
-from aleator._core.equations import TracedFunction, ends_by_condition, must_run_alone
+from aleator._core.equations import TracedFunction, asks_twice, must_run_alone
 from aleator._core.errors import ProblemError
 from aleator._core.identity import lasting_name, traced_once
 from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
@@ -35,6 +35,10 @@ _IN_ORDER: dict[str, str | bool] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
 }
+
+# XLA divides a program into 32 parts to compile them at once. Without much optimisation these cost more than they save:
+# a fifth of the time of all cores.
+_IN_FEW_PARTS: dict[str, str | bool] = {"xla_cpu_parallel_codegen_split_count": "2"}
 
 # Equations that JAX cannot differentiate or vectorise, by words of its own errors, and what to write instead.
 _REMEDIES = {
@@ -57,19 +61,19 @@ class Use(enum.Enum):
       which speed up loops only;
     - `ONCE`: a few runs in all. Compiled faster with little optimisation;
     - `BRIEF`: short runs. Compiled four times as fast without any optimisation, and slower by a factor of two or three
-      when run. Where a loop ends by a condition, compiled as `ONCE`: without optimisation and those emitters, some such
-      loops of many realisations never end. JAX evaluates the condition twice in a step, to go on and to change the
-      numbers, and the two may then differ in their last bit.
+      when run. Where a loop of many realisations ends by a condition of each, compiled as `ONCE`: without optimisation
+      and those emitters, some such loops never end. JAX evaluates the condition twice in a step (see `asks_twice`), and
+      the two may then differ in their last bit.
     """
 
     LOOPS = _IN_ORDER | {"xla_cpu_prefer_vector_width": "512"}
     ROWS = _IN_ORDER | {"xla_cpu_use_fusion_emitters": False}
-    ONCE = ROWS | {"xla_backend_optimization_level": "1"}
-    BRIEF = ROWS | {"xla_backend_optimization_level": "0"}
+    ONCE = ROWS | _IN_FEW_PARTS | {"xla_backend_optimization_level": "1"}
+    BRIEF = ROWS | _IN_FEW_PARTS | {"xla_backend_optimization_level": "0"}
 
     def of(self, closed: ClosedJaxpr) -> "Use":
         """The use as which some equations are compiled."""
-        return Use.ONCE if self is Use.BRIEF and ends_by_condition(closed.jaxpr) else self
+        return Use.ONCE if self is Use.BRIEF and asks_twice(closed.jaxpr) else self
 
 
 @final

@@ -91,11 +91,15 @@ def column_groups(pattern: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, 
     """A group for each column, such that none of a group have a row in common: one tangent along all of them tells
     their entries apart (Curtis, Powell and Reid, IMA Journal of Applied Mathematics 13, 1974).
     """
-    sparse = scipy.sparse.csc_array(pattern.astype(np.int32))
-    met = (sparse.T @ sparse).tocsr()
     groups = np.full(pattern.shape[1], -1)
-    for column in range(len(groups)):
-        taken = groups[met.indices[met.indptr[column] : met.indptr[column + 1]]]
+    if len(groups) > _FEW:
+        sparse = scipy.sparse.csc_array(pattern.astype(np.int32))
+        table = (sparse.T @ sparse).tocsr()
+        met = np.split(table.indices, table.indptr[1:-1])
+    else:
+        met = map(np.flatnonzero, pattern.T.astype(np.float32) @ pattern)
+    for column, others in enumerate(met):
+        taken = groups[others]
         groups[column] = np.setdiff1d(np.arange(len(taken) + 1), taken)[0]
     return groups
 

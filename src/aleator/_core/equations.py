@@ -162,12 +162,14 @@ def loop_while_any(
     return jax.lax.while_loop(lambda carried: carried[0], step, (_anywhere.bind(goes_on(begin)), begin))[1]
 
 
-def ends_by_condition(jaxpr: Any) -> bool:
-    """Whether there is a loop that computes whether it goes on, where it is asked: of one that knows from the step
-    before, as `loop_while_any` does, the answer is the same wherever it is needed.
+def asks_twice(jaxpr: Any) -> bool:
+    """Whether there is a loop of many realisations, each of which goes on by a condition of its own.
+
+    JAX evaluates this twice in a step, to go on and to change the numbers; that of `loop_while_any` once, as that of a
+    loop of one realisation.
     """
-    loops = (one.params["cond_jaxpr"].jaxpr for one in _every(jaxpr) if one.primitive.name == "while")
-    return any(one.primitive.name != "reduce_or" for loop in loops for one in loop.eqns)
+    loops = (one.params["cond_jaxpr"] for one in _every(jaxpr) if one.primitive.name == "while")
+    return any(one.out_avals[0].shape for one in loops)
 
 
 def must_run_alone(jaxpr: Any) -> bool:
@@ -341,12 +343,21 @@ class TracedFunction:
     def part(self, chosen: Callable[[Pytree], Pytree], *arguments: Pytree) -> Pytree:
         """A part of its value, `chosen` among the numbers of the result, by the equations that this follows from."""
         leaves = self.leaves(arguments)
-        jaxpr = self.closed.jaxpr
-        part = chosen(jax.tree.unflatten(self.results, range(len(jaxpr.outvars))))
-        needed = set(jax.tree.leaves(part))
-        pruned, _ = dce_jaxpr(jaxpr, [i in needed for i in range(len(jaxpr.outvars))], instantiate=True)
-        values = dict(zip(sorted(needed), eval_jaxpr(pruned, self.closed.consts, *leaves), strict=True))
+        part, needed = self._places(chosen)
+        pruned, _ = dce_jaxpr(self.closed.jaxpr, needed, instantiate=True)
+        values = dict(zip(np.flatnonzero(needed), eval_jaxpr(pruned, self.closed.consts, *leaves), strict=True))
         return jax.tree.map(values.__getitem__, part)
+
+    def sources(self, chosen: Callable[[Pytree], Pytree]) -> list[bool]:
+        """Whether a part of its value, `chosen` as above, follows from each number of the arguments, in order."""
+        return dce_jaxpr(self.closed.jaxpr, self._places(chosen)[1])[1]
+
+    def _places(self, chosen: Callable[[Pytree], Pytree]) -> tuple[Pytree, list[bool]]:
+        """The places of a part among the numbers of the result, and whether it has each of these."""
+        count = len(self.closed.jaxpr.outvars)
+        part = chosen(jax.tree.unflatten(self.results, range(count)))
+        needed = set(jax.tree.leaves(part))
+        return part, [i in needed for i in range(count)]
 
     def leaves(self, arguments: tuple[Pytree, ...]) -> list[Any]:
         """The numbers of arguments, in order. Raises `ProblemError` if they do not go with the equations."""

@@ -154,7 +154,7 @@ def _step(
     def stage(stages: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
         return jax.lax.dynamic_update_index_in_dim(stages, increment(row, stages), row[0], 0), None
 
-    stages, _ = jax.lax.scan(stage, jnp.zeros((nodes.size, vector.size)), rows)
+    stages, _ = jax.lax.scan(stage, jnp.outer(jnp.zeros(nodes.size), vector), rows)
     return vector + jnp.asarray(tableau.weights) @ stages, jnp.asarray(tableau.errors) @ stages
 
 

@@ -17,12 +17,11 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator.dynamics._crossings import nothing
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import after_events, derivative, event_levels, initial_state
 from aleator.dynamics._event import CLOSE, crosses_zero
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, nothing, zeros
 from aleator.dynamics._steps import Vector
 from aleator.dynamics._system import System
 

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.equations import as_time, loop_while_any
 from aleator.dynamics._alike import together
+from aleator.dynamics._equations import moving
 from aleator.dynamics._evaluation import (
     after_events,
     algebraic_residuals,
@@ -34,7 +35,7 @@ from aleator.dynamics._evaluation import (
 )
 from aleator.dynamics._event import CLOSE, crosses_zero, is_near
 from aleator.dynamics._grid import Grid, Inputs
-from aleator.dynamics._record import Asked, Occurrence, Record, zeros
+from aleator.dynamics._record import Asked, Occurrence, Record, nothing, zeros
 from aleator.dynamics._steps import Method, Pace, Rates, Sizes, Steps, Vector, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 
@@ -236,7 +237,7 @@ def course(
         looked = _Looked(directions, ends, step.begin, ignored, forced)
         functions = _Functions(partial(once, rates), partial(once, levels), partial(once, after), noted)
         search = _Search(zero + 1, zero, zero + 1, (zero > 0) & ends, zero, none + _MOST, seen) if names else None
-        # Without events JAX's own loop tells how the program has to be compiled (see `ends_by_condition`).
+        # Without events JAX's own loop tells how the program has to be compiled (see `asks_twice`).
         loop = loop_while_any if names else jax.lax.while_loop
         end = loop(
             lambda state: state.phase >= 0,
@@ -249,10 +250,11 @@ def course(
         fault = Fault(_FINISHED - end.phase, event, step.t + end.begin * step.h, met)
         return (end.vector, seen, end.pace), (outputs, fault)
 
-    zero, none = nothing(vector)
+    zero, none = nothing(moving(system), inputs, grid)
     places_seen = jax.eval_shape(lambda: (vector[:size], now) if asked.at_events else ())
     place = jax.tree.map(lambda one: zero + np.full((len(names), *one.shape), np.nan), places_seen)
-    begin = vector, Seen(zero + np.full(len(names), np.nan), place), method.begun(grid)
+    pace = jax.tree.map(lambda one: one + stop_gradient(zero).astype(one.dtype), method.begun(grid))
+    begin = zero + vector, Seen(zero + np.full(len(names), np.nan), place), pace
     (end, seen, pace), (history, fault) = jax.lax.scan(advance, begin, steps)
 
     def outputs(t: Array, states: Vector, now: dict[str, Array]) -> dict[str, Array]:
@@ -392,9 +394,3 @@ def _where(is_first: Array, first: Any, second: Any) -> Array:
     shape, dtype = jnp.broadcast_shapes(jnp.shape(first), jnp.shape(second)), jnp.result_type(first, second)
     sides = (jnp.broadcast_to(jnp.asarray(one, dtype), shape) for one in (first, second))
     return jax.lax.select(is_first, *sides)
-
-
-def nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:
-    """Zeros that follow from a vector: JAX differentiates and vectorises a loop once more for each state that joins."""
-    zero = jnp.where(False, vector[0], 0.0)
-    return zero, (zero != 0).astype(int)

@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import NUMBER, refuse_beyond_memory
+from aleator._core.arrays import NUMBER, Pytree, numbers_to_arrays, refuse_beyond_memory
 from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest, may_lose_derivatives
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
@@ -347,6 +347,17 @@ class TracedSystem(System):
     def beginning(self, states: Float[Array, " states"]) -> "TracedSystem":
         """The same system from other states."""
         return TracedSystem(self.system, self.equations, self.only, states)
+
+
+def moving(system: System) -> Pytree:
+    """Numbers that the states of a system follow from."""
+    if not isinstance(system, TracedSystem):
+        return system
+    leaves = jax.tree.leaves(eqx.filter(numbers_to_arrays(system.system), eqx.is_array))
+    parts = {"instant": lambda results: results.rates}
+    parts |= dict.fromkeys(("initial", "residual", "levels", "after"), lambda results: results)
+    every = [system.equations[name].sources(part) for name, part in parts.items() if name in system.equations]
+    return [leaf for leaf, *is_needed in zip(leaves, *every, strict=False) if any(is_needed)], system.begun
 
 
 @final

@@ -20,11 +20,11 @@ from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
 from aleator._core.leaves import Module
 from aleator.dynamics._crossings import Course, course
-from aleator.dynamics._equations import TracedSystem
+from aleator.dynamics._equations import TracedSystem, moving
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._explained import explain_course
 from aleator.dynamics._grid import Grid, Inputs
-from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, nothing, zeros
 from aleator.dynamics._steps import Pace, Rates, Sizes, Step, Steps, Vector, is_divided, needed, steps_of, watched
 from aleator.dynamics._system import System
 from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
@@ -79,7 +79,8 @@ class AbstractIntegrator(Module):
             )
             return record.grid.t_final, record._replace(grid=None)
 
-        t_final, records = jax.lax.scan(passed, jnp.asarray(grid.t_final), jnp.asarray(_PASSES))
+        zero, _ = nothing(moving(system), inputs, grid)
+        t_final, records = jax.lax.scan(passed, grid.t_final + zero, jnp.asarray(_PASSES))
         last = jax.tree.map(lambda one: one[len(_PASSES) - 1], records)
         return last._replace(grid=grid.ending(t_final))
 
@@ -136,7 +137,7 @@ class AbstractFixedStep(AbstractIntegrator):
             slope = rates(begin + node * share, vector + share * (coupling @ stages))
             return stages + jnp.outer(unit, slope), None
 
-        stages, _ = jax.lax.scan(stage, jnp.zeros((len(couplings), vector.size)), rows)
+        stages, _ = jax.lax.scan(stage, jnp.outer(jnp.zeros(len(couplings)), vector), rows)
         return Step(vector + share * (couplings[-1] @ stages), stages[:: len(stages) - 1])
 
     @override

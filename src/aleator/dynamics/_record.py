@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import Pytree
 from aleator._core.equations import with_slope
@@ -164,6 +164,15 @@ class Record(NamedTuple):
 def zeros(shapes: Pytree) -> Pytree:
     """Zeros of the shapes of something that was not computed."""
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
+
+
+def nothing(*numbers: Pytree) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """Zeros that follow from some numbers: JAX differentiates and vectorises a loop again for each state that joins."""
+    real = jax.tree.leaves(eqx.filter(numbers, eqx.is_inexact_array))
+    first = (one.ravel() if one.size <= 1 else one.ravel()[:1] for one in real)
+    every = jnp.concatenate([jnp.zeros(1), *first])
+    zero = jax.lax.select(jnp.zeros(every.shape, bool), every, jnp.zeros(every.shape)).sum()
+    return zero, (zero != 0).astype(int)
 
 
 def chosen(system: Any, outputs: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:

@@ -70,7 +70,7 @@ def time_switches(simulation: Simulation, uncertain: Simulation | None = None) -
         realised = eqx.combine(arrays, static)
         return [one.over(realised.grid.t_start, realised.grid.t_final)(t) for one in _opaque(realised)]
 
-    jaxpr = jax.make_jaxpr(told)(arrays, jnp.zeros(())).jaxpr
+    jaxpr = jax.make_jaxpr(told)(arrays, np.zeros(())).jaxpr
     found |= switches(jaxpr, [*marks, frozenset([TIME])])
     return {name or "" for one in found if TIME in one for name in (one - {TIME} or [""])}
 

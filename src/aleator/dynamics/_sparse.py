@@ -1,6 +1,7 @@
 """Square matrices that are zero at known places: found by few tangents, factorised within their band."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -8,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.lax import stop_gradient
-from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.dependence import column_groups, seeds_of
@@ -40,19 +40,30 @@ class Sparsity(NamedTuple):
     def of(cls, pattern: Bool[np.ndarray, "n n"]) -> "Sparsity":
         """That of a matrix which is zero where its pattern is."""
         n, groups = len(pattern), column_groups(pattern)
+        if n < _NARROW:
+            return cls._full(pattern, groups)
         order = scipy.sparse.csgraph.reverse_cuthill_mckee(scipy.sparse.csr_array(pattern | pattern.T), True)
         lower = np.subtract(*np.nonzero(pattern[order][:, order]))
         below, above = int(lower.max(initial=0)), int(-lower.min(initial=0))
         if _NARROW * (2 * below + above + 1) > n:
-            return cls(seeds_of(groups), groups, np.arange(n)[:, None], np.tile(np.arange(n), (n, 1)), pattern, None)
+            return cls._full(pattern, groups)
         places = np.arange(n)[:, None] + np.arange(-below, above + 1)
         rows, columns = order[:, None], order[np.clip(places, 0, n - 1)]
         known = pattern[rows, columns] & (places >= 0) & (places < n)
         return cls(seeds_of(groups), groups, rows, columns, known, (below, above))
 
+    @classmethod
+    def _full(cls, pattern: Bool[np.ndarray, "n n"], groups: Int[np.ndarray, " n"]) -> "Sparsity":
+        n = len(pattern)
+        return cls(seeds_of(groups), groups, np.arange(n)[:, None], np.tile(np.arange(n), (n, 1)), pattern, None)
+
     def entries(self, images: Float[Array, "groups n"]) -> Entries:
         """The matrix, from the images of `seeds`."""
-        return jnp.where(self.known, images[self.groups[self.columns], self.rows], 0.0)
+        if self.band is None and len(self.seeds) == len(self.groups):  # each column has an image of its own, in order
+            images = images.T
+        else:
+            images = images[self.groups[self.columns], self.rows]
+        return images if self.known.all() else jnp.where(self.known, images, 0.0)
 
     def diagonal(self, numbers: Float[np.ndarray, " n"]) -> Entries:
         """A diagonal matrix."""
@@ -61,8 +72,10 @@ class Sparsity(NamedTuple):
 
     def solver(self, entries: Entries) -> Callable[[Vector], Vector]:
         """Solves linear equations with a matrix that is factorised once; differentiable to any order."""
-        order = self.rows[:, 0]
         solve = _factorised(stop_gradient(entries), self.band)
+        if self.band is None:
+            return lambda right: jax.lax.custom_linear_solve(entries.__matmul__, right, lambda _, one: solve(one))
+        order = self.rows[:, 0]
 
         def times(unknowns: Vector) -> Vector:
             return jnp.zeros_like(unknowns).at[order].set(jnp.sum(entries * unknowns[self.columns], axis=1))
@@ -75,9 +88,19 @@ class Sparsity(NamedTuple):
 
 def _factorised(entries: Entries, band: tuple[int, int] | None) -> Callable[[Vector], Vector]:
     """Solves linear equations by factors with partial pivoting."""
+    if len(entries) < _NARROW:
+        inverse = _inverse(entries)
+
+        def refined(right: Vector) -> Vector:
+            unknowns = inverse @ right
+            return unknowns + inverse @ (right - entries @ unknowns)
+
+        return refined
     if band is None:
-        factors = lu_factor(entries)
-        return lambda right: lu_solve(factors, right)
+        factors, _, order = jax.lax.linalg.lu(entries)
+        lower = partial(jax.lax.linalg.triangular_solve, factors, left_side=True, lower=True, unit_diagonal=True)
+        upper = partial(jax.lax.linalg.triangular_solve, factors, left_side=True)
+        return lambda right: upper(lower(right[order][:, None]))[:, 0]
     below, width = band[0], sum(band) + 1
 
     def pivoted(window: Array, is_pivot: Bool[Array, " rows"]) -> tuple[Array, Array]:
@@ -113,6 +136,26 @@ def _factorised(entries: Entries, band: tuple[int, int] | None) -> Callable[[Vec
         return jax.lax.scan(backward, jnp.zeros(width - 1), (tops, reduced), reverse=True)[1]
 
     return solve
+
+
+def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The inverse of a small matrix, by elimination with partial pivoting in a loop over its columns.
+
+    JAX calls LAPACK for factors, one matrix after the other, and loads SciPy for that.
+    """
+    n = len(matrix)
+
+    def eliminate(carried: tuple[Array, Array], unit: Vector) -> tuple[tuple[Array, Array], Bool[Array, " n"]]:
+        rows, is_done = carried
+        column = rows[:, :n] @ unit
+        is_pivot = jnp.arange(n) == jnp.argmax(jnp.where(is_done, -1.0, jnp.abs(column)))
+        top = jnp.where(is_pivot[:, None], rows, 0.0).sum(axis=0) / jnp.where(is_pivot, column, 0.0).sum()
+        rows = jnp.where(is_pivot[:, None], top, rows - jnp.outer(column, top))
+        return (rows, is_done | is_pivot), is_pivot
+
+    begin = jnp.concatenate([matrix, jnp.eye(n)], axis=1), jnp.zeros(n, bool)
+    (rows, _), pivots = jax.lax.scan(eliminate, begin, jnp.eye(n))
+    return pivots.astype(float) @ rows[:, n:]
 
 
 def _later(rows: Array, below: int) -> Array:

@@ -12,9 +12,9 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import block_diagonal
 from aleator._core.border import a_name, members, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf
@@ -273,7 +273,7 @@ def closed(kind: str, closures: Sequence[Closure], tree: Tree) -> Closed:
             listed += [i] * count
     poses = side_by_side(frames[0]), side_by_side(frames[1])
     turned = stacked(first, (3,)), stacked(second, (3,))
-    by_points, by_pairs = (np.asarray(scipy.linalg.block_diag(np.zeros((0, 0)), *parts)) for parts in weights)
+    by_points, by_pairs = (block_diagonal(np, np.zeros((0, 0)), *parts) for parts in weights)
     return Closed(tree, rows, poses, stacked(along, (3,)), turned, owners, (by_points, by_pairs))
 
 

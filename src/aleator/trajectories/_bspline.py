@@ -10,13 +10,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core import border as check
-from aleator._core.arrays import in_library, jax_array
+from aleator._core.arrays import block_diagonal, in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, lowest, realised_shape, stored_numbers
 from aleator.trajectories._signals import AbstractTrajectory, Fractions, as_array, conditions
@@ -153,7 +152,7 @@ class BSpline(AbstractTrajectory):
         """The matrix that gives all control points from `_conditions`."""
         start, end = (self._eliminated(side) for side in (0, 1))
         xp, start, free, end = in_library(start, np.eye(realised_shape(self.free)[0]), end[::-1, ::-1])
-        return (scipy if xp is np else jax.scipy).linalg.block_diag(start, free, end)
+        return block_diagonal(xp, start, free, end)
 
     def _eliminated(self, side: int) -> Any:
         """The control points that the conditions at one end determine, by these, outermost first."""

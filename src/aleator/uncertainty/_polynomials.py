@@ -7,8 +7,10 @@ distribution: `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: 
 """
 
 import abc
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import final
 
 import equinox as eqx
@@ -19,6 +21,10 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.leaves import Module
+
+_NORMAL = NormalDist()
+# SciPy takes as long to load as a solve of a small problem; so many normal quantiles or levels are not worth it.
+_FEW = 10_000
 
 
 class AbstractGerm(abc.ABC):
@@ -91,11 +97,19 @@ class HermiteGerm(AbstractGerm):
 
     @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        return scipy.special.ndtri(level)
+        level = np.asarray(level)
+        if level.size > _FEW or not np.all((level > 0) & (level < 1)):
+            return scipy.special.ndtri(level)
+        quantiles = map(_NORMAL.inv_cdf, level.ravel().tolist())
+        return np.fromiter(quantiles, float, level.size).reshape(level.shape)
 
     @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        return scipy.special.ndtr(germ)
+        germ = np.asarray(germ, dtype=float)
+        if germ.size > _FEW:
+            return scipy.special.ndtr(germ)
+        levels = (0.5 * math.erfc(one) for one in (-germ / math.sqrt(2)).ravel().tolist())
+        return np.fromiter(levels, float, germ.size).reshape(germ.shape)
 
     @override
     def support(self) -> tuple[float, float]:

@@ -15,7 +15,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jax.extend.core import Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
@@ -66,13 +65,27 @@ def anchored(
     sizes = np.abs(deviations).max(axis=0, initial=0.0)
     varying = sizes > 0
     rows = np.hstack([np.ones((len(points), 1)), deviations[:, varying] / sizes[varying]])
-    _, triangle, order = scipy.linalg.qr(rows.T, mode="economic", pivoting=True)  # type: ignore[assignment]
-    pivots = np.abs(np.diag(triangle))
-    chosen = order[: int(np.sum(pivots > _ROUNDING * pivots[0]))]
+    chosen = _spanning(rows)
     if len(chosen) == len(points):
         return None
     weights = np.linalg.lstsq(rows[chosen].T, rows.T)[0].T
     return Anchors(jax_array(points[chosen]), jax_array(weights), tuple(affine))
+
+
+def _spanning(rows: Float[np.ndarray, "points features"]) -> list[int]:
+    """Rows that span all, each the furthest from the span of those before: the pivots of a QR factorisation, for which
+    SciPy would have to be loaded.
+    """
+    chosen, left = list[int](), rows.copy()
+    furthest = first = np.linalg.norm(left, axis=1)
+    while furthest.max() > _ROUNDING * first.max() and len(chosen) < min(rows.shape):
+        chosen.append(int(furthest.argmax()))
+        direction = left[chosen[-1]] / furthest[chosen[-1]]
+        for _ in range(2):  # twice is enough
+            left -= np.outer(left @ direction, direction)
+        furthest = np.linalg.norm(left, axis=1)
+        furthest[chosen] = 0.0
+    return chosen
 
 
 def affine_features(
