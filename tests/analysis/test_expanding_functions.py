@@ -195,6 +195,13 @@ def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolve
     assert float(expanded.leave_one_out) == np.inf  # no collocation point checks it, fresh ones do
 
 
+def test_a_gauss_grid_that_holds_the_output_exactly_is_resolved():
+    distributions = {name: al.Uniform.bounds(-1.0, 1.0) for name in ("x", "y")}
+    expanded = al.expand(lambda at: at["x"] + at["y"], distributions, al.Expansion(order=1, points=GaussPoints()))
+    assert float(expanded.error) < 1e-12
+    assert "(resolved)" in str(expanded)
+
+
 INPUT = {"x": al.Uniform.bounds(0.0, 2.0)}
 
 

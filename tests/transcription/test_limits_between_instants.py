@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from scipy.optimize import minimize
+from scipy.optimize import linprog, minimize
 
 import aleator as al
 import zoo
@@ -224,3 +224,50 @@ def test_optimum_and_price_of_a_path_do_not_depend_on_where_the_instants_are(ste
     slope = (gentlest(bound - 1e-3) - gentlest(bound + 1e-3)) / 2e-3
     assert solution.constraints[0].shadow_price == pytest.approx(slope, rel=5e-3)
     assert solution.certificate.between.cost == 0.0  # no bound is tighter than it has to be
+
+
+# --- Inputs that jump ------------------------------------------------------------------------------------------------
+
+
+class Tank(al.System):
+    """A level that follows an inflow, which the pressure shows at once."""
+
+    states = ("level",)
+    gain: al.Number = 1.0
+
+    def rhs(self, t, z, inflow):
+        return (self.gain * inflow - z.level,)
+
+    def outputs(self, t, z, inflow):
+        return {"level": z.level, "pressure": z.level + 0.5 * self.gain * inflow}
+
+
+@pytest.mark.parametrize(("end", "steps"), [(1.37, 20), (1.5, 20), *zoo.cases([(1.5, 160), (1.0, 300)])])
+def test_a_limit_holds_up_to_a_declared_jump_and_no_further_than_it_has_to(end, steps):
+    problem = al.Problem(
+        Tank(al.Decision(1.0, 0.01, 9.0)),
+        grid=al.Grid(3.0, steps),
+        inputs={"inflow": al.StepFunction([end], [1.0, 0.0])},
+        minimize=-al.value("gain"),
+        subject_to=[al.path("pressure").at_most(1.0)],
+    )
+    solution = al.solve(problem)
+    right = 1 / (1.5 - np.exp(-end))
+    assert right * (1 - 2e-3) < -solution.objective < right * (1 + 1e-5)
+
+
+def test_a_control_that_is_constant_in_each_step_keeps_its_limit_at_both_ends_of_it():
+    problem = al.Problem(
+        Tank(),
+        grid=al.Grid(2.0, 8),
+        inputs={"inflow": al.Control(0.1, -1.0, 1.0, degree=0)},
+        minimize=-al.terminal("level").mean,
+        subject_to=[al.path("pressure").at_most(0.6)],
+    )
+    # The level at the ends of steps, by the inflows, exactly.
+    decay, steps = np.exp(-0.25), np.arange(8)
+    ends = np.tril(decay ** (steps[:, None] - steps)) * (1 - decay)
+    starts = np.vstack([np.zeros(8), ends[:-1]])
+    rows = np.vstack([starts, ends]) + 0.5 * np.vstack([np.eye(8), np.eye(8)])
+    right = linprog(-ends[-1], rows, np.full(16, 0.6), bounds=(-1.0, 1.0))
+    assert al.solve(problem).objective == pytest.approx(right.fun, rel=1e-3)

@@ -138,6 +138,26 @@ def test_a_constraint_that_is_flat_at_the_start_alone_is_not_refused():
         answer("minimum", (0.5, 0.0, 4.0), limit="fixed", upper=1.0)
 
 
+class Shifted(al.AlgebraicSystem):
+    """A number that a decision shifts."""
+
+    number: al.Number
+    shift: al.Number
+
+    def outputs(self):
+        return {"sum": self.number + self.shift, "square": self.shift**2}
+
+
+def test_a_probability_that_is_zero_at_the_start_is_no_proof_that_nothing_is_feasible():
+    """Nine tenths of the numbers between 0.1 and 0.3 are above 0.12."""
+    problem = al.Problem(
+        Shifted(al.Uniform(0.2, half_width=0.1), al.Decision(0.2)),
+        minimize=al.output("square").mean,
+        subject_to=[al.output("sum").probability(above=1.0) >= 0.9],
+    )
+    assert al.solve(problem).decisions["shift"] == pytest.approx(0.88, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_every_decision_of_many_leaves_a_maximum_as_far_as_a_limit_lets():
     """All pieces end at a bound; the last speed is their mean: at most a half if fifteen go up, and five down."""

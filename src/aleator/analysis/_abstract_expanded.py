@@ -358,14 +358,16 @@ def extrapolates(leave_one_out: Any, jackknife: Any, tolerance: float) -> bool:
     return bool(np.isfinite(leave_one_out) and leave_one_out <= tolerance < jackknife)
 
 
-def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float) -> str:
-    """How well the expansion is resolved: by its leave-one-out error or, without samples, by its last terms."""
+def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float, *, is_fresh: bool) -> str:
+    """How well the expansion is resolved: by its leave-one-out error or, where points leave none, by fresh points or
+    its last terms.
+    """
     if extrapolates(leave_one_out, jackknife, tolerance):
         return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.points.InducedPoints())"
     if np.isfinite(leave_one_out) and leave_one_out <= tolerance < error:
         return f"error at fresh points {float(error):.1e} (NOT RESOLVED, take more points)"
     if not np.isfinite(leave_one_out):
-        by, shown = "error by the decay of its degrees", error
+        by, shown = f"error {'at fresh points' if is_fresh else 'by the decay of its degrees'}", error
     else:
         by, shown = "leave-one-out error", leave_one_out
     verdict = "resolved" if float(error) <= tolerance else "NOT RESOLVED, raise the order"

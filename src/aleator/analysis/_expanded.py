@@ -109,16 +109,17 @@ class Expanded(AbstractExpanded):
         """The estimated relative error of each output, to be compared with `tolerance`.
 
         It is the largest of the leave-one-out, the jackknife and the fresh error. Sparse grids, interpolation and
-        Galerkin projection have none of the former two: there the error is extrapolated from the decay of the degrees.
-        If each degree is a fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and the
-        error about `r**order`, both relative to the spread (`step` is 1 up to order 2, else 2).
+        Galerkin projection have none of the former two. Without a fresh error either, as after a Galerkin projection,
+        it is extrapolated from the decay of the degrees. If each degree is a fraction `r` of the one before,
+        `highest_degree_share` is `r**(2 (order - step))`, and the error about `r**order`, both relative to the spread
+        (`step` is 1 up to order 2, else 2).
         """
         order = self.basis.order
         exponent = order / (2 * max(order - _step(self.basis), 1))
         worst = jax.tree.map(_larger, self.leave_one_out, self.jackknife)
-        pairs = worst, self.highest_degree_share
-        error = jax.tree.map(lambda error, share: _or_decayed(error, share, exponent), *pairs)
-        return error if self.fresh_error is None else jax.tree.map(_larger, error, self.fresh_error)
+        if self.fresh_error is None:
+            return jax.tree.map(lambda error, share: _known(error, share**exponent), worst, self.highest_degree_share)
+        return jax.tree.map(lambda error, fresh: _larger(_known(error, fresh), fresh), worst, self.fresh_error)
 
     def checked(self, check: Callable[..., Any]) -> Pytree:
         """`check(collocation, samples, coefficients)` of each output; NaN if there are no samples."""
@@ -162,7 +163,7 @@ class Expanded(AbstractExpanded):
         known, loo, left, missed = map(concrete, (terms, checked, jackknife, error))
         if known is None:
             return nothing
-        trusted = trust(loo, left, missed, self.tolerance)
+        trusted = trust(loo, left, missed, self.tolerance, is_fresh=self.fresh_error is not None)
         return lambda entry: (
             f"; {contributors(self.distributions, self.basis, known[(slice(None), *entry)])}; {trusted}"
         )
@@ -254,9 +255,9 @@ def _larger(first: Float[Array, "*shape"], second: Float[Array, "*shape"]) -> Fl
     return jax_array(library.maximum(*both))
 
 
-def _or_decayed(error: Float[Array, ""], share: Float[Array, ""], exponent: float) -> Float[Array, ""]:
-    library, error, share = in_library(error, share)
-    return jax_array(library.where(library.isfinite(error), error, share**exponent))
+def _known(error: Float[Array, ""], other: Float[Array, ""]) -> Float[Array, ""]:
+    library, error, other = in_library(error, other)
+    return jax_array(library.where(library.isfinite(error), error, other))
 
 
 def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:

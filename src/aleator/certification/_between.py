@@ -24,7 +24,7 @@ from aleator.design import is_over_time, path_of
 from aleator.dynamics import Simulation
 from aleator.nlp import HELD, NonlinearProgram, Peak, extreme, with_peaks
 from aleator.solution import Between
-from aleator.trajectories import BSpline, piecewise_in
+from aleator.trajectories import BSpline, jumping_in, piecewise_in
 from aleator.transcription import AbstractTranscribed, bound_size, excess_of
 from aleator.uncertainty import at_means, realise
 
@@ -106,16 +106,18 @@ def excess_between(check: Check, margins: Margins | None = None, *, at_peaks: bo
 
 
 def _knots(model: Simulation) -> Float[np.ndarray, " knots"]:
-    """The interior knots of splines and nodes of controls of a realisation, as fractions of its time."""
-    parts = model.system, model.inputs
+    """The inner knots of splines, nodes of controls and declared jumps of a realisation, as fractions of its time."""
+    parts, grid = (model.system, model.inputs), model.grid
     ends = (one.breaks() for one in (*parts_in(parts, BSpline), *piecewise_in(parts)))
-    fractions = np.concatenate([np.zeros(0), *ends])
+    start, final = (float(end) for end in (grid.t_start, grid.t_final))
+    times = (np.asarray(one.jumps) for one in jumping_in(parts))
+    fractions = np.concatenate([np.zeros(0), *ends, *((each - start) / (final - start) for each in times)])
     return np.unique(fractions[(fractions > 0) & (fractions < 1)])
 
 
 def _smooth(limited: Float[np.ndarray, " limited"], knots: Float[np.ndarray, " knots"]) -> Int[np.ndarray, " smooth"]:
-    """The rows between whose neighbours there is no knot."""
-    below, above = np.searchsorted(knots, limited + _SAME), np.searchsorted(knots, limited - _SAME)
+    """The rows with no knot between their neighbours, or at one, where the value may be that before a jump."""
+    below, above = np.searchsorted(knots, limited - _SAME), np.searchsorted(knots, limited + _SAME)
     return np.flatnonzero(below[:-2] == above[2:]) + 1
 
 
@@ -221,10 +223,13 @@ def _shifts(
     for i, (begin, end) in enumerate(itertools.pairwise(places)) if sides else ():
         here = [side for side in sides if begin - _AT <= side[0] <= end + _AT]
         if here:
-            (earliest, before, _), (latest, _, after) = here[0], here[-1]
-            # Exactly at a jump, rounding decides which side an instant's value belongs to.
-            left, right = (begin <= fine) & (fine < earliest - _AT), (latest + _AT < fine) & (fine <= end)
-            first[i] = max([before, *beyond[left]]) if earliest > begin + _AT else -np.inf
+            # Exactly at a jump, rounding decides which side an instant's value belongs to. That of a row is after it.
+            later, (latest, _, after) = [side for side in here if side[0] > begin + _AT], here[-1]
+            earliest, before, _ = later[0] if later else here[0]
+            begun = [] if later == here else [here[0][2]]
+            left = (fine > begin - _AT if later == here else fine > begin + _AT) & (fine < earliest - _AT)
+            right = (latest + _AT < fine) & (fine <= end)
+            first[i] = max([before, *begun, *beyond[left]]) if later else -np.inf
             last[i] = max([after, *beyond[right]]) if latest < end - _AT else -np.inf
     return np.maximum(np.append(first, -np.inf), np.append(-np.inf, last))
 

@@ -21,9 +21,10 @@ from aleator.design import (
     instants_of,
     is_at_points,
     is_worst_case,
+    statistics_in,
 )
 from aleator.nlp import HELD, UNBOUNDED, Evaluation, Matrix, Outcome, variable_range
-from aleator.statistics import Mean, Std, Variance
+from aleator.statistics import Mean, Probability, Std, Variance
 from aleator.transcription._abstract import AbstractTranscribed
 from aleator.transcription._scenarios import Scenarios
 
@@ -298,14 +299,16 @@ def refuse_unsatisfiable(
 
     - `values`, `derivatives`: of the constraints at the initial decisions;
     - `elsewhere`: gives the values at some other decisions. It is called only for suspect
-      constraints, because a derivative may vanish at one point by chance, or over a range.
+      constraints, because a derivative may vanish at one point by chance, or over a range. A probability is 0 or 1
+      over whatever range, and proves nothing.
     """
     suspects = [
         (i, int(np.argmax(np.where(row, excess, -np.inf))))
         for i, (one, value, slope, scale) in enumerate(
             zip(problem.constraints, values, derivatives, scales, strict=True)
         )
-        if (row := ((excess := excess_of(one, value)) > HELD * scale) & np.all(slope == 0, axis=1)).any()
+        if not any(isinstance(atom.kind, Probability) for atom in statistics_in((one.expression,)))
+        and (row := ((excess := excess_of(one, value)) > HELD * scale) & np.all(slope == 0, axis=1)).any()
     ]
     if not suspects:
         return
