@@ -163,6 +163,46 @@ def test_a_plan_that_never_ends_is_named():
     assert "never meets 'gate_plan', at which its grid ends, from 0 to 0.5 s" in why
 
 
+class Lag(al.System):
+    states = ("x",)
+    a: al.Number
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z, u):
+        return (u - self.a * z.x,)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_collocation_begins_a_phase_with_the_end_of_the_plan_before_it():
+    lag, inputs = Lag(al.Uniform(1.0, half_width=0.3)), {"u": al.Tabulated([0.0, 1.0], [2.0, 2.0])}
+    loop = al.Feedback(gains=[al.Decision(3.0, 0.0, 10.0)])
+    phases = al.Phases(
+        free=al.Phase(lag, al.Grid(1.0, 10), inputs), led=al.Phase(lag, al.Grid(0.5, 10), inputs, feedback=loop)
+    )
+    least = {"minimize": al.value("feedback.led.gains.0"), "subject_to": [al.terminal("x").std <= 0.05]}
+    (k,) = al.solve(al.Problem(phases, **least), transcription=al.Simultaneous()).decisions.values()
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    # The plan is 2 - exp(-t); in the led phase a state is a sum of a constant and two exponentials.
+    a = 1.0 + 0.3 * nodes
+    begun, steady, forced = 2 / a + (1 - 2 / a) * np.exp(-a), 2 * (1 + k) / (a + k), -np.exp(-1) * k / (a + k - 1)
+    x = (begun - steady - forced) * np.exp(-(a + k) * 0.5) + steady + forced * np.exp(-0.5)
+    assert np.sqrt(weights @ (x - weights @ x / 2) ** 2 / 2) == pytest.approx(0.05, rel=1e-5)
+
+
+def test_collocation_refuses_what_a_plan_does_at_times_of_its_own():
+    cart, loop, regulator = Cart(MASS), feedback(), al.Feedback(gains=al.lqr([1.0, al.Decision(0.5, 0.1, 1.0)], [0.2]))
+    for grid, later in ((al.Grid(until="gate", at_most=2.0, steps=4), loop), (al.Grid(0.4, 4), regulator)):
+        led = al.Phase(cart, al.Grid(0.4, 4), push(0.1), feedback=later)
+        phases = al.Phases(free=al.Phase(cart, grid, push(0.1), feedback=loop), led=led)
+        problem = al.Problem(phases, minimize=al.terminal("v").std)
+        with pytest.raises(al.ProblemError, match="'led' begins after an event that the plan has at another time"):
+            al.Simultaneous().count(problem)
+
+
 def test_what_has_no_plan_is_refused():
     cart, loop = Cart(MASS), feedback()
     phases = al.Phases(only=al.Phase(cart, al.Grid(1.0, 10), push(0.1), feedback=loop))

@@ -161,6 +161,27 @@ def test_a_ball_bounces_in_noise_as_random_simulations_do():
     assert float(parts["fall.y.variance"][-1]) == pytest.approx(0.0, abs=1e-15)
 
 
+def test_collocation_carries_a_covariance_across_the_end_of_a_phase():
+    class Thrown(Ball):
+        events: ClassVar = {"floor": al.Event(lambda self, t, z: z.y, direction=-1)}
+
+    noise = {"w": al.processes.WhiteNoise(DRAUGHT)}
+    ball, fallen = Thrown(al.Decision(0.75, 0.7, 0.9)), np.sqrt(2 / G)
+    phases = al.Phases(
+        fall=al.Phase(ball, al.Grid(until="floor", at_most=1.0, steps=10), inputs=noise),
+        rise=al.Phase(ball, al.Grid(LATER, 10), inputs=noise),
+        link={"rise": lambda self, t, z: {"v": -self.e * z.v}},
+    )
+    ends = [al.terminal(name, phase="fall").std <= 1.0 for name in "yv"]
+    best = al.Problem(phases, minimize=-al.value("fall.e"), subject_to=[al.terminal("v").std <= 0.028, *ends])
+    solution = al.solve(best, transcription=al.Simultaneous())
+    # At the floor a speed deviates by that of the ball there less that of its height in the time of the fall.
+    _, at_floor, speed = (float(one.values[0]) for one in solution.constraints)
+    assert at_floor == pytest.approx(0.0, abs=1e-9)
+    assert speed**2 == pytest.approx(DRAUGHT * fallen / 3, rel=1e-6)
+    assert solution.decisions["fall.e"] ** 2 == pytest.approx((0.028**2 - DRAUGHT * LATER) / speed**2, rel=1e-5)
+
+
 def test_the_covariance_of_a_cycle_is_stationary():
     class Forced(Struck):
         events: ClassVar = {}

@@ -341,7 +341,7 @@ class TracedSystem(System):
         return signals if self.begun is None else self.system.signals_from(signals, self.begun)
 
     @override
-    def focused(self, only: Collection[str]) -> System:
+    def focused(self, only: Collection[str]) -> "TracedSystem":
         return TracedSystem(self.system, self.equations, frozenset(only), self.begun)
 
     def beginning(self, states: Float[Array, " states"]) -> "TracedSystem":

@@ -192,7 +192,7 @@ def _refuse_conflict(name: str, first: Any, second: Any) -> None:
             f"'{name}' names two placements: {first} and {second}. Rename one of them, or give both the same `shared` "
             "name if they are one number."
         )
-    if not (is_traced(first) or eqx.tree_equal(first, second)):
+    if not _is_same(first, second):
         raise ProblemError(
             f"'{name}' is shared by two placements that differ: {first} and {second}. "
             "Give the same distribution or decision in both places, or two names."
@@ -344,8 +344,12 @@ def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
 
 
 def _is_one_group(first: Dependence, second: Dependence) -> bool:
-    if first.members != second.members:
-        return False
-    if is_traced((first.factor, second.factor)):
-        return True  # compared before compilation
-    return np.array_equal(np.asarray(first.factor), np.asarray(second.factor))
+    return first.members == second.members and _is_same(first.factor, second.factor)
+
+
+def _is_same(first: Pytree, second: Pytree) -> bool:
+    """Whether two parts of a model are equal; traced ones were compared before compilation."""
+    if is_traced((first, second)):
+        return True
+    # By NumPy: JAX would trace the comparison of known numbers too.
+    return bool(eqx.tree_equal(*jax.tree.map(np.asarray, (first, second))))

@@ -114,3 +114,31 @@ def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     exact = np.sinh(w * duration) / (w * np.cosh(w * duration) + np.sinh(w * duration))
     first, second = (abs(optimum(regulated(some, duration), scheme) - exact) for some in intervals)
     assert np.log2(first / second) == pytest.approx(scheme.order, abs=0.3)
+
+
+def test_one_uncertain_number_in_two_places_of_a_model_whose_time_is_least():
+    class Decay(al.System):
+        states = ("x",)
+        rate: al.Number
+        gain: al.Number
+
+        def initial(self):
+            return {"x": 1.0}
+
+        def rhs(self, t, z):
+            return (-self.rate * z.x,)
+
+        def outputs(self, t, z):
+            return {"y": self.gain * z.x}
+
+    a = al.Uniform(1.0, half_width=0.2).shared("a")
+    problem = al.Problem(
+        Decay(a, a),
+        grid=al.Grid(al.Decision(1.0, 0.1, 3.0), 10),
+        minimize=al.objectives.final_time(),
+        subject_to=[al.terminal("y").mean <= 0.3],
+    )
+    duration = al.solve(problem, transcription=al.Simultaneous(al.schemes.GaussLegendre(3))).objective
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    rates = 1.0 + 0.2 * nodes
+    assert weights @ (rates * np.exp(-rates * duration)) / 2 == pytest.approx(0.3, rel=1e-6)

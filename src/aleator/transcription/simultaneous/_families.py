@@ -32,7 +32,8 @@ from aleator.transcription.simultaneous._layout import (
     Variables,
     integrals_over_time,
 )
-from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._shapes import apart
 from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 

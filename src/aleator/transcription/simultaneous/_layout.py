@@ -29,7 +29,8 @@ from aleator.design import (
 )
 from aleator.dynamics import AbstractScheme, phase_of
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apart, functionals_in
+from aleator.transcription.simultaneous._pointwise import Pointwise, functionals_in
+from aleator.transcription.simultaneous._shapes import Shapes, apart
 from aleator.uncertainty import placements
 
 

@@ -5,17 +5,14 @@ fraction, so that a free final time stands in them and the scheme stays linear. 
 realisation has a duration of its own, and so signals, functions of time, are evaluated in the blocks.
 """
 
-import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import in_library
@@ -35,12 +32,15 @@ from aleator.design import (
     numbers_of,
 )
 from aleator.dynamics import (
+    AbstractExtended,
     AbstractGrid,
     AbstractMeanRate,
     Asked,
+    End,
     Grid,
     Known,
     Occurrence,
+    Record,
     Simulation,
     System,
     TracedSystem,
@@ -59,63 +59,11 @@ from aleator.dynamics import (
     within,
 )
 from aleator.trajectories import has_jumps
+from aleator.transcription.simultaneous._shapes import Shapes, Signals, apart, flat, taken_by
 from aleator.uncertainty import realise
 
 # How far from a jump its sides are told, as a part of the duration: more than rounding of times.
 _BESIDE = 1e-11
-
-
-class Signals(NamedTuple):
-    """The signals of a realisation: the shape of each by name, in the order of `Pointwise.known`, none where they are
-    uncertain; whether some are the system's own, of which decisions are not known, and whether some may jump.
-    """
-
-    shapes: dict[str, tuple[int, ...]]
-    are_own: bool
-    have_jumps: bool
-
-    @property
-    def size(self) -> int:
-        """How many numbers they are at one point."""
-        return sum(map(math.prod, self.shapes.values()))
-
-
-@final
-@dataclass(frozen=True)
-class Shapes:
-    """How many states, algebraic variables and signals there are, and the shapes of integrals and of outputs at one
-    instant.
-    """
-
-    states: int
-    algebraic: int
-    signals: int
-    integrals: tuple[tuple[int, ...], ...]
-    outputs: dict[str, tuple[int, ...]]
-
-    def size(self, names: Sequence[str]) -> int:
-        """How many numbers some outputs are."""
-        return sum(math.prod(self.outputs[name]) for name in names)
-
-    def by_name(self, names: Sequence[str], table: Any) -> dict[str, Any]:
-        """Some outputs, side by side along the last axis, by name."""
-        return dict(zip(names, apart(table, [self.outputs[name] for name in names]), strict=True))
-
-
-def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
-    """Arrays of some shapes, from their numbers side by side along the last axis; axes before it are kept."""
-    parts, first = [], 0
-    for shape in shapes:
-        last = first + math.prod(shape)
-        parts.append(numbers[..., first:last].reshape(*numbers.shape[:-1], *shape))
-        first = last
-    return parts
-
-
-def taken_by(make: Callable[[], Any], numbers: Array) -> tuple[Any, Array]:
-    """The first of some numbers in the shapes of what `make` gives, which is not computed, and those after them."""
-    like, unravel = ravel_pytree(jax.tree.map(lambda one: jnp.zeros(one.shape), jax.eval_shape(make)))
-    return unravel(numbers[: like.size]), numbers[like.size :]
 
 
 def functionals_in(phase: str, problem: Problem) -> tuple[AbstractFunctional, ...]:
@@ -129,12 +77,6 @@ def grid_in(phase: str, grid: AbstractGrid) -> Grid:
     own = grid.of(f"{phase}.")
     assert isinstance(own, Grid)
     return own
-
-
-def flat(tree: Any) -> Float[Array, " numbers"]:
-    """All numbers of a tree side by side."""
-    leaves = [jnp.ravel(one) for one in jax.tree.leaves(tree)]
-    return jnp.concatenate([jnp.zeros(0), *leaves])
 
 
 @final
@@ -198,7 +140,8 @@ class Pointwise:
             own, grid = system.signals(), grid_in(self.phase, simulation.grid)
             every = {**own, **simulation.inputs}
             shapes = {} if self.has_signals_inside else dict(known_at(every, grid, np.zeros(1)).inputs)
-            answers.append(Signals(shapes, bool(own), has_jumps(every)))
+            follow_states = system.system.signals_from(own, jnp.zeros(0)) is not own
+            answers.append(Signals(shapes, bool(own), has_jumps(every), follow_states))
             return decisions
 
         jax.eval_shape(realised, _numbers(self.problem.placements.size))
@@ -246,12 +189,12 @@ class Pointwise:
 
     def onward(self, phase: str, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " states"]:
         """The states with which the phase after it begins, from those at its last mesh point: see `rates`."""
-        system, t, z, _ = self._at(germ, place, shared, own)
-        equations = self.problem.simulation.equations
+        end, equations = self._end(germ, place, shared, own), self.problem.simulation.equations
+        following = self.problem.simulation.of(f"{phase}.").system
         assert equations is not None
-        assert isinstance(system, TracedSystem)
-        states, following = equations[phase](system.system, t, z), self.problem.simulation.of(f"{phase}.").system
-        return flat([states[name] for name in following.states])  # type: ignore[attr-defined]
+        assert isinstance(following, System)
+        states = following.continuing(equations[phase], end.system.system, end)
+        return flat([states[name] for name in following.states])
 
     def again(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " states"]:
         """The states with which a cycle repeats, from those at its last mesh point: after the event that ends it."""
@@ -310,9 +253,19 @@ class Pointwise:
         return jnp.where(root.converged, root.point, jnp.where(place[0] > 0, guess, jnp.nan))
 
     def outputs(self, names: tuple[str, ...], germ: Array, place: Array, shared: Array, own: Array) -> Array:
-        """Some outputs, side by side."""
+        """Some outputs, side by side; at the end of a realisation those that vary with its time too."""
         system, t, z, now = self._at(germ, place, shared, own)
-        outputs = named({self.phase: observation(system, t, z, now)})
+        outputs, around = observation(system, t, z, now), system.system
+        if self.is_open and isinstance(around, AbstractExtended):
+            end, history = self._end(germ, place, shared, own), {name: one[None] for name, one in outputs.items()}
+
+            def ended(history: dict[str, Array]) -> dict[str, Array]:
+                return around.at_end(Record(history, {}, (), grid=self.grid), end).history
+
+            # A choice of values would have no derivatives where those of `ended` are infinite.
+            history = jax.lax.cond(place[0] < 1, lambda history: history, ended, history)
+            outputs = {name: rows[0] for name, rows in history.items()}
+        outputs = named({self.phase: outputs})
         return flat([outputs[name] for name in names])
 
     def composites(self, shapes: Shapes, duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
@@ -349,7 +302,7 @@ class Pointwise:
             {name: one.shape for name, one in outputs.items()},
         )
 
-    def _known_parts(self, decisions: Float[Array, " n"]) -> tuple[Simulation, System]:
+    def _known_parts(self, decisions: Float[Array, " n"]) -> tuple[Simulation, TracedSystem]:
         germ = jnp.zeros(len(self.problem.placements.germ_names))
         return self._realised(self.problem, germ, decisions)
 
@@ -362,7 +315,7 @@ class Pointwise:
         """That of a realisation: see `rates`."""
         return own[self.signals.size] if self.is_open else shared[-1]
 
-    def _realised(self, problem: Problem, germ: Array, decisions: Array) -> tuple[Simulation, System]:
+    def _realised(self, problem: Problem, germ: Array, decisions: Array) -> tuple[Simulation, TracedSystem]:
         """The simulation of one realisation, and its system for what is asked of it."""
         whole = realise(problem.simulation, germ, decisions)
         names = frozenset(name for one in functionals_of(self.problem.expressions) for name in one.outputs)
@@ -370,10 +323,10 @@ class Pointwise:
         if self.phase:  # What is traced of the whole are the equations of all phases.
             simulation, names = whole.of(f"{self.phase}."), within(self.phase, names)
             system = simulation.traced
-        assert isinstance(system, System)
+        assert isinstance(system, TracedSystem)
         return simulation, system.focused(names)
 
-    def _now(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, dict[str, Any]]:
+    def _now(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[TracedSystem, Array, dict[str, Any]]:
         """A realised system with its time and inputs at one mesh point; states are left alone."""
         direct, duration = shared if self.is_open else shared[:-1], self._own_duration(shared, own)
         simulation, system = self._realised(self.frozen, germ, direct)
@@ -386,13 +339,25 @@ class Pointwise:
         told_at = jnp.asarray(self.grid.t_start + self._told_at(place) * duration)
         return system, t, {name: one.over(*span)(told_at) for name, one in each.items()}
 
-    def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
+    def _at(
+        self, germ: Array, place: Array, shared: Array, own: Array
+    ) -> tuple[TracedSystem, Array, Any, dict[str, Any]]:
         """A realised system with its time, states (and algebraic variables, if given) and inputs at one mesh point."""
         system, t, now = self._now(germ, place, shared, own)
         z, rest = taken_by(lambda: initial_state(system, t, now), own[self.signals.size + self.is_open :])
         if rest.size:
             z = with_algebraic(system, z, taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
         return system, t, z, now
+
+    def _end(self, germ: Array, place: Array, shared: Array, own: Array) -> End:
+        """The end of a realisation, with its inputs at other times where its duration is its own."""
+        system, t, z, _ = self._at(germ, place, shared, own)
+
+        def inputs(t: Any) -> dict[str, Any]:
+            fraction = (t - self.grid.t_start) / self._own_duration(shared, own)
+            return self._now(germ, place.at[0].set(fraction), shared, own)[2]
+
+        return End(system, t, z, inputs)
 
 
 def _numbers(count: int) -> jax.ShapeDtypeStruct:

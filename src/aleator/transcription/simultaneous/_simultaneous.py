@@ -1,6 +1,7 @@
 """`Simultaneous`: direct collocation, from a declared problem to its sparse program."""
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -59,7 +60,8 @@ class Simultaneous(AbstractTranscription):
     Where an event ends the grid, the final time of each realisation is a variable, at which the function of the event
     is zero. Each phase has a mesh of its own.
 
-    Raises `ProblemError` for an algebraic system, and for events that do not end a grid.
+    Raises `ProblemError` for an algebraic system, for events that do not end a grid, and for phases with feedback after
+    an event, or with `al.lqr` after the first.
     """
 
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
@@ -110,7 +112,7 @@ class Simultaneous(AbstractTranscription):
     def count(self, problem: Problem) -> int:
         """How many variables of its program are states: at all points of the first mesh, in every realisation.
 
-        Raises `ProblemError` for an algebraic system.
+        Raises `ProblemError` for what it does not transcribe.
         """
         meshes, phases = self._first_meshes(problem), problem.simulation.phases.values()
         points = sum(len(one.system.states) * mesh.fractions.size for one, mesh in zip(phases, meshes, strict=True))  # type: ignore[attr-defined]
@@ -122,7 +124,14 @@ class Simultaneous(AbstractTranscription):
                 f"al.Simultaneous ties states over time: expected a system that moves in time; received "
                 f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
             )
-        phases = zip(problem.simulation.phases.values(), Pointwise.each(problem), strict=True)
+        phases = list(zip(problem.simulation.phases.values(), Pointwise.each(problem), strict=True))
+        for (before, _), (_, own) in pairwise(phases):
+            if before.plan is not None or own.signals.follow_states:
+                raise ProblemError(
+                    f"al.Simultaneous knows a plan at the times of its realisations alone: '{own.phase}' begins after "
+                    "an event that the plan has at another time, or follows al.lqr along a plan that begins in a phase "
+                    "before it. Use al.Sequential(), the default."
+                )
         meshes = [Mesh(first_nodes(problem, one), self.scheme, own.signals.have_jumps) for one, own in phases]
         return joined(problem, meshes)
 

@@ -22,7 +22,7 @@ from aleator.transcription.simultaneous._assembly import Pattern
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import functions
 from aleator.transcription.simultaneous._layout import Plan
-from aleator.transcription.simultaneous._pointwise import apart
+from aleator.transcription.simultaneous._shapes import apart
 
 # Blocks of a tile, the least and the most, and the most along the first axis, where their number is a multiple of the
 # last: enough for a call to take longer than its preparation, and few enough for both cores and their caches.

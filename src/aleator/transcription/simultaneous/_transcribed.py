@@ -37,7 +37,7 @@ from aleator.transcription.simultaneous._costates import adjoint
 from aleator.transcription.simultaneous._evaluations import first_crossing
 from aleator.transcription.simultaneous._layout import Layout, PhaseLayout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh, followed, joined, whole_parts
-from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import Assembled, program_of, scales
 from aleator.transcription.simultaneous._refinement import (
     Drift,
@@ -50,6 +50,7 @@ from aleator.transcription.simultaneous._refinement import (
     state_rates,
     states_on,
 )
+from aleator.transcription.simultaneous._shapes import apart
 from aleator.transcription.simultaneous._signals import are_affine
 from aleator.transcription.simultaneous._starts import (
     Course,
