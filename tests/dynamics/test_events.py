@@ -187,6 +187,41 @@ def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends(degree):
     assert float(end(levels)) == pytest.approx(right, abs=1e-5)
 
 
+class Filled(al.System):
+    """A volume, until the inflow reaches a level."""
+
+    states = ("volume",)
+    level: al.Number
+    events: ClassVar = {"full": al.Event(lambda self, t, z, inflow: inflow - self.level, direction=1)}
+
+    def rhs(self, t, z, inflow):
+        return (inflow,)
+
+    def outputs(self, t, z):
+        return {"volume": z.volume}
+
+
+RISING = {
+    "t^3": (al.processes.signal(lambda t, p: t**3), lambda k: (k ** (1 / 3), k ** (4 / 3) / 4)),
+    "a table": (al.Tabulated([0.0, 4.0], [0.0, 8.0]), lambda k: (k / 2, k**2 / 4)),
+}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "inflow"), cases([*((one, "t^3") for one in [None, *ADAPTIVE]), (None, "a table")])
+)
+def test_a_grid_ends_where_an_input_alone_says_with_the_derivatives_of_the_closed_form(integrator, inflow):
+    signal, right = RISING[inflow]
+
+    def simulated(level):
+        grid = al.Grid(until="full", at_most=4.0, steps=7)
+        history = al.simulate(Filled(level), grid, {"inflow": signal}, integrator=integrator)
+        return jnp.stack([history["time"][-1], history["volume"][-1]])
+
+    for ours, exact in agreeing(simulated, lambda level: jnp.stack(right(level)), 1.13, 2):
+        assert ours == pytest.approx(exact, rel=1e-8)
+
+
 class Rocket(al.System):
     """Two stages: an empty tank is dropped with its stage, and the next one burns."""
 

@@ -1,5 +1,7 @@
 """Events by integrators whose steps follow their error: closed forms, and what has no simulation."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,6 +70,28 @@ def test_an_adaptive_integrator_ends_at_an_event_with_the_derivatives_of_the_clo
     assert float(slope) == pytest.approx(800 * np.cos(1.4) / G, rel=1e-8)
     with pytest.warns(al.SimulationWarning, match=r"angle=0.7.*never meets 'ground'"):
         al.simulate(Shot(20.0, 0.7), al.Grid(until="ground", at_most=1.0, steps=4), integrator=integrator)
+
+
+class Clock(al.System):
+    """A clock that counts at certain times and then goes on at another one, beyond what it would count there."""
+
+    states = ("t", "count")
+    events: ClassVar = {
+        "leap": al.Event(lambda self, t, z: z.t - 0.5, jump=lambda self, t, z: {"t": z.t + 1.0}),
+        "passed": al.Event(lambda self, t, z: z.t - 1.0, jump=lambda self, t, z: {"count": z.count + 1.0}),
+        "met": al.Event(lambda self, t, z: z.t - 1.8, jump=lambda self, t, z: {"count": z.count + 10.0}),
+    }
+
+    def rhs(self, t, z):
+        return 1.0, 0.0
+
+    def outputs(self, t, z):
+        return {"t": z.t, "count": z.count}
+
+
+def test_an_event_at_an_instant_leaves_no_time_to_step_over_and_a_jump_over_another_event_is_none():
+    history = al.simulate(Clock(), al.Grid(1.0, 10), integrator=ADAPTIVE[0])
+    assert (history["t"][-1], history["count"][-1]) == (pytest.approx(2.0, abs=1e-12), 10.0)
 
 
 @pytest.mark.slow

@@ -124,6 +124,37 @@ def test_a_belt_that_gains_speed_takes_a_disk_along():
     np.testing.assert_allclose(found["x"], force / MASS * np.linspace(0.0, 2.0, 21) ** 2 / 2, rtol=1e-12)
 
 
+KICK = {"kick": al.Event(lambda self, t, z: t - 0.5, jump=lambda self, t, z: {"v": z.v.at[self.along].add(1.0)})}
+
+
+class KickedEdge(Edge):
+    """The same, kicked along y."""
+
+    along = 1
+    events = KICK
+
+
+class KickedBelt(Belt):
+    """The same; the disk is kicked along x."""
+
+    along = 0
+    events = KICK
+
+
+def test_a_kick_moves_a_knife_edge_along_its_heading_from_then_on():
+    found = simulate(al.ForwardDynamics(KickedEdge(0.0), start={"x_rate": 1.0, "heading_rate": 1.0}), al.Grid(2.0, 100))
+    speed = 1.0 + np.sin(0.5)
+    assert found["x"][-1] == pytest.approx(np.sin(0.5) + speed * (np.sin(2.0) - np.sin(0.5)), abs=1e-8)
+    assert found["y"][-1] == pytest.approx(1 - np.cos(0.5) + speed * (np.cos(0.5) - np.cos(2.0)), abs=1e-8)
+
+
+def test_a_kick_is_shared_by_what_a_constraint_couples_as_an_impulse_of_it_does():
+    # The impulse at the rim takes from the speed what it adds to the turning.
+    found = simulate(al.ForwardDynamics(KickedBelt()), al.Grid(2.0, 20))
+    force, share = 0.7 / (1 / MASS + RADIUS**2 / INERTIA), MASS / (MASS + INERTIA / RADIUS**2)
+    assert found["x"][-1] == pytest.approx(force / MASS * 2.0 + share * 1.5, rel=1e-12)
+
+
 class Geared(ClosedTree):
     """A closed loop with a wheel whose speed is twice that of the crank."""
 

@@ -297,9 +297,10 @@ def _moved(method: Method, functions: _Functions, looked: _Looked, sizes: Sizes,
         moved = state._replace(vector=end, begin=target, phase=_where(target == 1, _FINISHED, state.phase))
     if pace is None or later is None:
         return moved
-    # No time, between two jumps at once or after the end, passes whatever the rates, and tells nothing.
-    stays = is_whole & ~(is_close | (pace.length == 0))
-    later = later._replace(h=_where(pace.length > 0, later.h, pace.h))
+    # No time but rounding, between two jumps at once or after the end, passes whatever the rates, and tells nothing.
+    tells = 2 * (target - begin) * pace.length > pace.shortest
+    stays = is_whole & tells & ~jnp.asarray(is_close)
+    later = later._replace(h=_where(tells, later.h, pace.h))
     if search is not None:
         stays |= state.phase < 0
         later = jax.tree.map(lambda old, new: old if new is old else _where(is_whole, new, old), pace, later)

@@ -172,12 +172,15 @@ class System(AbstractSystem):
             )
         for one, value in jump.items():
             value = traceable(f"{who}, '{one}'", value)
-            if value.shape != jnp.shape(values[one]):
-                raise ProblemError(
-                    f"{who}: expected '{one}' of shape {jnp.shape(values[one])}; received {value.shape}."
-                )
+            if value.shape != (shape := jnp.shape(values[one])):
+                raise ProblemError(f"{who}: expected '{one}' of shape {shape}; received {value.shape}.")
             values[one] = value
-        return jnp.concatenate([jnp.ravel(value) for value in values.values()])
+        return jnp.concatenate([jnp.ravel(one) for one in self.allowed_after(t, values, jump, inputs).values()])
+
+    def allowed_after(self, t: Any, states: dict[str, Any], jump: Collection[str], inputs: Any) -> dict[str, Any]:
+        """The states by name after a jump of some of them to these, which it may not allow."""
+        del t, jump, inputs
+        return states
 
     def initial(self) -> Mapping[str, Any]:
         """Initial values by state; states not named start at zero."""

@@ -4,7 +4,8 @@ Forward dynamics are those with nothing prescribed, inverse dynamics those with 
 """
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -164,6 +165,21 @@ class AbstractFormulation(System):
             model = at(self.model, t, inputs.get("parameters")).prepared()
             q, v = consistent_start(model, *self._near(model, self._prescribed(inputs)), self._stated())
             q, v = taken(q, self.parts.others), taken(v, self.parts.undriven)
+        return dict(zip(self.states, (q, v), strict=False))
+
+    @override
+    def allowed_after(self, t: Any, states: dict[str, Any], jump: Collection[str], inputs: Any) -> dict[str, Any]:
+        """Constraints change velocities by an impulse of theirs, of the least kinetic energy; coordinates that jumped,
+        on the shortest way, if there is one.
+        """
+        if not (jump and self.model.constraints):
+            return states
+        model, where = self._instant(t, SimpleNamespace(**states), inputs)
+        motion = solved(model, self.parts, *where)
+        q, v = taken(motion.q, self.parts.others), taken(motion.v, self.parts.undriven)
+        # Other coordinates stay: put back by what integration lost of them, an event would be off its zero.
+        jumps = "q" in jump and self.model.holonomic
+        q = jnp.where(motion.valid, q, states["q"]) if jumps else states["q"]
         return dict(zip(self.states, (q, v), strict=False))
 
     @override

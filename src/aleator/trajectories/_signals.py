@@ -66,7 +66,9 @@ def instants(fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "
     """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
     # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
     xp, fractions, t_start, t_final = in_library(fractions, t_start, t_final)
-    return jax_array(xp.where(fractions < 1, t_start + fractions * (t_final - t_start), t_final))
+    # They go on at 1: the time of an event there follows from the slopes of inputs by it.
+    duration = t_final - t_start
+    return jax_array(xp.where(fractions < 1, t_start + fractions * duration, t_final + (fractions - 1) * duration))
 
 
 @final
