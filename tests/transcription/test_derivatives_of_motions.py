@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator._core.arrays import jax_array
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import _instantaneous as instantaneous
 from aleator.transcription.sequential._affine import affine_features, anchored
@@ -126,7 +127,7 @@ OTHER = {
 
 
 def test_what_is_affine_in_features_of_the_germ_follows_from_a_few_points():
-    rng, moved = np.random.default_rng(0), np.array([1.1, 2.0])
+    rng, moved = np.random.default_rng(0), jax_array([1.1, 2.0])
     points, elsewhere = rng.uniform(-1, 1, (12, 2)), rng.uniform(0.5, 2, 2)
     told = {}
 

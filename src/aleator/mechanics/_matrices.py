@@ -131,7 +131,7 @@ def spread(values: Float[Array, "places ..."], places: Sequence[int], count: int
 
 
 def merged(
-    first: Float[Array, "some ..."], places: Sequence[int], second: Float[Array, "others ..."], others: Sequence[int]
+    first: Float[Any, "some ..."], places: Sequence[int], second: Float[Any, "others ..."], others: Sequence[int]
 ) -> Float[Array, "n ..."]:
     """Two parts of an array, each at its places along the first axis."""
     listed = [*places, *others]
