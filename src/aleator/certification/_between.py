@@ -89,7 +89,7 @@ def excess_between(check: Check, margins: Margins | None = None, *, at_peaks: bo
             if float(one.lower) != float(one.upper):
                 if path:
                     limited, last = transcribed.limited(path), len(beyond) - 1
-                    smooth = _smooth(limited, knots) if at_peaks else np.zeros(0, int)
+                    smooth = _smooth(limited, knots, sides, last) if at_peaks else np.zeros(0, int)
                     shift = _shift(limit, rows.reshape(len(limited), -1), limited * last, sides, smooth, margin)
                 else:
                     shift = Shift(beyond, np.zeros(beyond.shape, int), np.full(beyond.shape, np.nan))
@@ -115,10 +115,19 @@ def _knots(model: Simulation) -> Float[np.ndarray, " knots"]:
     return np.unique(fractions[(fractions > 0) & (fractions < 1)])
 
 
-def _smooth(limited: Float[np.ndarray, " limited"], knots: Float[np.ndarray, " knots"]) -> Int[np.ndarray, " smooth"]:
-    """The rows with no knot between their neighbours, or at one, where the value may be that before a jump."""
-    below, above = np.searchsorted(knots, limited - _SAME), np.searchsorted(knots, limited + _SAME)
-    return np.flatnonzero(below[:-2] == above[2:]) + 1
+def _smooth(
+    limited: Float[np.ndarray, " limited"],
+    knots: Float[np.ndarray, " knots"],
+    sides: Sequence[tuple[float, np.ndarray, np.ndarray]],
+    last: int,
+) -> Int[np.ndarray, " smooth"]:
+    """The rows between whose neighbours there is no knot, and none at which the path jumps at a neighbour either, whose
+    value may be that before it.
+    """
+    below, above = np.searchsorted(knots, limited + _SAME), np.searchsorted(knots, limited - _SAME)
+    at = np.array([place for place, *_ in sides]) / last
+    before, after = np.searchsorted(at, limited - _SAME), np.searchsorted(at, limited + _SAME)
+    return np.flatnonzero((below[:-2] == above[2:]) & (before[:-2] == after[2:])) + 1
 
 
 def jumps(
