@@ -233,12 +233,17 @@ def _shifts(
         here = [side for side in sides if begin - _AT <= side[0] <= end + _AT]
         if here:
             # Exactly at a jump, rounding decides which side an instant's value belongs to. That of a row is after it.
-            later, (latest, _, after) = [side for side in here if side[0] > begin + _AT], here[-1]
-            earliest, before, _ = later[0] if later else here[0]
-            begun = [] if later == here else [here[0][2]]
-            left = (fine > begin - _AT if later == here else fine > begin + _AT) & (fine < earliest - _AT)
+            begun, later = (
+                [side for side in here if (side[0] > begin + _AT) == is_later] for is_later in (False, True)
+            )
+            if later:
+                earliest, before, _ = later[0]
+                left = (begin + (_AT if begun else -_AT) < fine) & (fine < earliest - _AT)
+                first[i] = max([before, *(after for *_, after in begun), *beyond[left]])
+            else:
+                first[i] = -np.inf
+            latest, _, after = here[-1]
             right = (latest + _AT < fine) & (fine <= end)
-            first[i] = max([before, *begun, *beyond[left]]) if later else -np.inf
             last[i] = max([after, *beyond[right]]) if latest < end - _AT else -np.inf
     return np.maximum(np.append(first, -np.inf), np.append(-np.inf, last))
 

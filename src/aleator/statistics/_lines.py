@@ -362,14 +362,14 @@ def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of
         return np.zeros((1, 1, 1))
     if variables in _ON_A_LATTICE:
         across = _lattice(variables - 1, _ON_A_LATTICE[variables])
-        return np.concatenate([across, np.zeros((1, *across.shape[1:]))])
-    parts = []
-    for seed, size in enumerate(_SIZES):
-        net = scipy.stats.qmc.Sobol(variables - 1, bits=30, rng=np.random.default_rng(seed))
-        # Scrambled points are multiples of 2^-30, 0 among them.
-        levels = net.random_base2(int(np.log2(REPLICATES * size))) + 2.0**-31
-        parts.append(scipy.special.ndtri(levels).T.reshape(variables - 1, REPLICATES, size))
-    across = np.concatenate(parts, axis=2)
+    else:
+        parts = []
+        for seed, size in enumerate(_SIZES):
+            net = scipy.stats.qmc.Sobol(variables - 1, bits=30, rng=np.random.default_rng(seed))
+            # Scrambled points are multiples of 2^-30, 0 among them.
+            levels = net.random_base2(int(np.log2(REPLICATES * size))) + 2.0**-31
+            parts.append(scipy.special.ndtri(levels).T.reshape(variables - 1, REPLICATES, size))
+        across = np.concatenate(parts, axis=2)
     return np.concatenate([across, np.zeros((1, *across.shape[1:]))])
 
 
