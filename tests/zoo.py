@@ -421,14 +421,15 @@ STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 def derivative_error(function, jacobian, point, blocks=(slice(None),), steps=STEPS):
     """Largest relative difference between a Jacobian and central differences, at the best step.
 
-    It is taken column by column in each block of rows, relative to the largest entry there (absolute if all are zero).
+    It is taken column by column in each block of rows, relative to the largest entry there (absolute if all are zero
+    but for rounding).
     """
     jacobian = np.asarray(jacobian)
     differences = np.array([central_differences(function, point, step) for step in steps])
     errors = []
     for rows in blocks:
         largest = np.abs(jacobian[rows]).max(axis=0)
-        scale = np.where(largest > 0, largest, 1.0)
+        scale = np.where(largest > 1e-13, largest, 1.0)
         sweep = np.abs(differences[:, rows] - jacobian[rows]).max(axis=1) / scale
         errors.append(sweep.min(axis=0).max())
     return float(np.max(errors))

@@ -141,7 +141,8 @@ def fastest(distance: float, duration: al.Decision) -> al.Problem:
 def test_least_time_to_move_a_block_is_bang_bang(way):
     distance = 2.0
     solution = al.solve(fastest(distance, al.Decision(4.0, 1.0, 10.0)), transcription=way)
-    assert solution.objective == pytest.approx(2 * np.sqrt(distance), rel=1e-8)
+    # The barrier of an interior-point method leaves some 1e-9 for each of the 40 bounds.
+    assert solution.objective == pytest.approx(2 * np.sqrt(distance), rel=1e-8, abs=5e-8)
     assert solution.decisions["inputs.force"] == pytest.approx(np.repeat([1.0, -1.0], 10), abs=1e-6)
     assert solution.is_at_bound("inputs.force")
     # A force of r instead of 1 takes the time 2 sqrt(d / r): half the time less for each unit, over all bounds.
