@@ -3,6 +3,7 @@
 from aleator.certification._between import Margins as Margins
 from aleator.certification._between import Shifts as Shifts
 from aleator.certification._between import excess_between as excess_between
+from aleator.certification._between import has_peaks as has_peaks
 from aleator.certification._between import margins_for as margins_for
 from aleator.certification._between import narrows as narrows
 from aleator.certification._between import tightened as tightened

@@ -1,8 +1,8 @@
 """Limits over time between the instants, by CHECK: how far they are exceeded there, and the margins that enforce them.
 
-Where a path is smooth, a row limits the peak of the parabola through its neighbours too. So the answer does not depend
-on where the instants are, and its multipliers are slopes of the optimum. Beside knots and ripples, bounds are tightened
-by what is exceeded.
+Bounds are tightened by what is exceeded. Where a path is smooth, a row limits the peak of the parabola through its
+neighbours in the end: so the answer does not depend on where the instants are, and its multipliers are slopes of the
+optimum.
 
 At the knots of trajectories outputs may jump, such as torques of a motion of degree 2. An instant has the value of one
 side of a jump only, so that the sides before and after it are judged separately.
@@ -69,11 +69,11 @@ sides.
 """
 
 
-def excess_between(check: Check, margins: Margins | None = None, *, at_peaks: bool = True) -> tuple[Between, Shifts]:
+def excess_between(check: Check, margins: Margins | None = None, *, at_peaks: bool = False) -> tuple[Between, Shifts]:
     """How far a problem's limits over time are exceeded on a finer grid at most, and what their rows require.
 
     - `margins`: those with which the point was found, None for none;
-    - `at_peaks`: whether peaks between the instants may be imposed.
+    - `at_peaks`: whether peaks between the instants are imposed where paths are smooth.
     """
     transcribed, between, shifts = check.transcribed, Between(check.factor, 0.0, "", 0.0), []
     decisions = jax_array(transcribed.decisions(check.point))
@@ -90,7 +90,8 @@ def excess_between(check: Check, margins: Margins | None = None, *, at_peaks: bo
                 if path:
                     limited, last = transcribed.limited(path), len(beyond) - 1
                     smooth = _smooth(limited, knots, sides, last) if at_peaks else np.zeros(0, int)
-                    shift = _shift(limit, rows.reshape(len(limited), -1), limited * last, sides, smooth, margin)
+                    rows, least = rows.reshape(len(limited), -1), HELD * (bound_size(one) or scale)
+                    shift = _shift(limit, rows, limited * last, sides, (smooth, least), margin)
                 else:
                     shift = Shift(beyond, np.zeros(beyond.shape, int), np.full(beyond.shape, np.nan))
             # NaN counts as the largest excess.
@@ -152,20 +153,20 @@ def _shift(
     rows: Float[np.ndarray, "limited entries"],
     places: Float[np.ndarray, " limited"],
     sides: list[tuple[float, np.ndarray, np.ndarray]],
-    smooth: Int[np.ndarray, " smooth"],
+    smooth: tuple[Int[np.ndarray, " smooth"], float],
     margin: Margin | None,
 ) -> Shift:
     """What the rows of a limit on a path require, each entry by itself.
 
-    - `places`: of the rows, in steps of the finer grid; `smooth`: those that may limit peaks;
+    - `places`: of the rows, in steps of the finer grid; `smooth`: those that may limit peaks, and from which excess on;
     - `margin`: the present one.
     """
     beyond, fine = excess_of(limit.constraint, limit.fine), np.arange(len(limit.fine))
     shift = Shift(np.zeros(rows.shape), np.zeros(rows.shape, int), rows * np.nan)
     for entry, own in enumerate(beyond.T):
         here = [(place, float(before[entry]), float(after[entry])) for place, before, after in sides]
-        known = smooth[:0] if margin is None else np.flatnonzero(margin.peaks[:, entry])
-        peaks = _peaks(limit, own, rows[:, entry], places, (known, smooth))
+        known = np.zeros(0, int) if margin is None else np.flatnonzero(margin.peaks[:, entry])
+        peaks = _peaks(limit, own, rows[:, entry], places, (known, smooth[0]), smooth[1])
         without = own.copy()
         for i, *_ in peaks:
             without[(places[i - 1] < fine) & (fine < places[i + 1])] = -np.inf
@@ -181,11 +182,13 @@ def _peaks(
     rows: Float[np.ndarray, " limited"],
     places: Float[np.ndarray, " limited"],
     preferred: Sequence[Int[np.ndarray, " some"]],
+    least: float,
 ) -> list[tuple[int, int, float, float]]:
     """The peaks of the finer grid that could break a limit, if parabolas through neighbouring rows tell them: the row
     closest to each, the side of the limit, the excess, and by how much that exceeds the parabola's.
 
-    `preferred`: rows that may limit peaks, those that do already first: until a peak leaves their parabolas.
+    - `preferred`: rows that may limit peaks, those that do already first: until a peak leaves their parabolas;
+    - `least`: what counts as an excess. A path that runs along its bound has peaks of rounding, which move with it.
     """
     every = dict[int, tuple[int, int, float, float]]()
     before, middle, after = beyond[:-2], beyond[1:-1], beyond[2:]
@@ -199,7 +202,7 @@ def _peaks(
         i = int(near[np.argmin(np.abs(places[near] - place))])
         around = rows[i - 1 : i + 2]
         excess = excess_of(limit.constraint, around)
-        if height + abs(height - excess[1]) <= 0:
+        if height + abs(height - excess[1]) <= least:
             continue
         side = 1 if excess[1] == around[1] - float(limit.constraint.upper) else -1
         value = extreme(places[i - 1 : i + 2], around, side).value
@@ -262,6 +265,11 @@ def margins_for(margins: Margins | None, shifts: Shifts, *, relax: bool) -> Marg
         else:
             every.append(old._replace(by=old.by + 1.2 * np.maximum(new.by, 0.0)))
     return tuple(every)
+
+
+def has_peaks(margins: Margins) -> bool:
+    """Whether any row limits a peak."""
+    return any(one is not None and one.peaks.any() for one in margins)
 
 
 def narrows(transcribed: AbstractTranscribed, margins: Margins) -> bool:

@@ -139,7 +139,7 @@ def _checked(
     for one, wait in [(one, begin_check(transcribed, one.outcome.point, factor)) for one in each]:
         check, between, shifts = wait(), None, ()
         if factor > 1 and stages.judges_between(game.problem):
-            between, shifts = excess_between(check, at_peaks=False)
+            between, shifts = excess_between(check)
             is_strict = stages.between is not None or margins is not None or pieces(game.problem) > 0
             between = replace(between, is_strict=is_strict, cost=cost)
         yield one._replace(check=check, between=between), shifts

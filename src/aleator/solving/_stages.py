@@ -16,6 +16,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.certification import (
     Held,
+    Margins,
     Oracle,
     begin_check,
     broken_at,
@@ -23,6 +24,7 @@ from aleator.certification import (
     diagnose,
     excess_between,
     grid_error,
+    has_peaks,
     idle_scenarios,
     is_checked,
     magnitudes_at,
@@ -64,8 +66,10 @@ from aleator.transcription import (
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
 
-# How often at most: an answer is left for a better one, bounds are tightened, and scenarios are added.
-_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
+# How often at most: an answer is left for a better one, bounds are tightened, peaks are imposed, scenarios are added.
+_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 20
+# Iterations from an answer that margins hold to a close one with peaks in their place.
+_MOST_STEPS = 20
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
 _ROUGH = 1e-4
@@ -245,8 +249,7 @@ class Stages(NamedTuple):
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
     def _held_between(self, held: Held, factor: int) -> Held:
-        """Impose limits at the peaks between instants that break them, or tighten bounds at the instants beside, and
-        solve again, until they hold.
+        """Tighten bounds at the instants beside limits that break between these, and solve again, until they hold.
 
         An outcome that is not solved is returned unchanged.
         """
@@ -263,24 +266,54 @@ class Stages(NamedTuple):
         while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
             margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
-            program, last = tightened(transcribed, margins), rounds[-1]
-            again = self.searched(transcribed, last.point, last.multipliers, program, goes_on=True)
+            again = self._going_on(transcribed, rounds[-1], margins)
             if again.status is Status.INTERRUPTED:
                 return held._replace(outcome=again)
             if again.status is not Status.SOLVED:
                 break
             check = begin_check(transcribed, again.point, factor)()
-            latest, shifts = excess_between(check, margins)
+            latest, shifts = excess_between(check)
             rounds.append(again)
             if latest.worst <= best[2].worst:
-                best = again, check, latest
-                cost = cost_of_margins(loosest, again.evaluation.objective) if narrows(transcribed, margins) else 0.0
+                best, cost = (again, check, latest), cost_of_margins(loosest, again.evaluation.objective)
             elif best[2].holds:
                 break  # Tighter bounds may make the plan bulge more between them.
         answer, check, between = best
         is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
         answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
-        return held._replace(outcome=answer, between=replace(between, is_strict=is_strict, cost=cost), check=check)
+        between = replace(between, is_strict=is_strict, cost=cost)
+        held = held._replace(outcome=answer, between=between, check=check)
+        is_tightened = len(rounds) > 1 and best[0] is rounds[-1] and latest.worst <= HELD
+        return self._with_peaks(held, loosest, margins, factor) if is_tightened else held
+
+    def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> Held:
+        """An answer that margins hold, with peaks limited: it does not depend on where the instants are, and its
+        multipliers are slopes of the optimum. The same answer where that is not close by, as where limits have kinks.
+        """
+        local = replace(self.solver.local, max_iterations=_MOST_STEPS)
+        transcribed, check, rounds = held.transcribed, held.check, [held.outcome]
+        while check is not None and len(rounds) <= _MOST_EXCHANGES:
+            margins = margins_for(margins, excess_between(check, margins, at_peaks=True)[1], relax=True)
+            if not has_peaks(margins):
+                break
+            again = self._replace(solver=local)._going_on(transcribed, rounds[-1], margins)
+            rounds.append(again)
+            if again.status is not Status.SOLVED:
+                break
+            check = begin_check(transcribed, again.point, factor)()
+            between, _ = excess_between(check)
+            if between.worst <= HELD:
+                cost = cost_of_margins(loosest, again.evaluation.objective) if narrows(transcribed, margins) else 0.0
+                between = replace(between, is_strict=True, cost=cost)
+                return held._replace(outcome=again.with_effort_of(*rounds[:-1]), between=between, check=check)
+            if not between.holds:
+                break
+        interrupted = rounds[-1] if rounds[-1].status is Status.INTERRUPTED else None
+        return held._replace(outcome=interrupted or held.outcome.with_effort_of(*rounds[1:]))
+
+    def _going_on(self, transcribed: AbstractTranscribed, last: Outcome, margins: Margins) -> Outcome:
+        """A search from the last one, with limits over time imposed as margins say."""
+        return self.searched(transcribed, last.point, last.multipliers, tightened(transcribed, margins), goes_on=True)
 
     def _held_at_worst(self, held: Held, oracle: Oracle, factor: int) -> Held:
         """Impose limits at realisations that break them, and solve again, until none is found."""
