@@ -20,6 +20,7 @@ from aleator.statistics import (
     cdf,
     lines_through,
     pdf,
+    sloped,
     together,
 )
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
@@ -245,6 +246,33 @@ def test_a_density_around_zero_has_tails():
     tent = al.Density(lambda x: 1 - np.abs(x), -1.0, 1.0)
     expanded = al.expand(lambda at: at["x"], {"x": tent}, al.Expansion(ORDER))
     assert float(expanded.quantile(0.9)) == pytest.approx(1 - np.sqrt(0.2), rel=1e-6)
+
+
+def test_in_the_gap_of_a_density_errors_cover_what_its_table_misses():
+    part = 0.01
+    modes = al.Density(lambda x: (1 - part) * stats.norm.pdf(x) + part * stats.norm.pdf(x, 8, 0.05), -9.0, 9.0)
+    basis = basis_of([modes.germ()], 1)
+    lines, identity = prepare([Quantile(0.5)], basis).of(Quantile(0.5)), coefficients_of_polynomial(basis, lambda x: x)
+    for kind, exact in ((Probability(above=7.0), part), (Quantile(0.9905), 8 + 0.05 * stats.norm.ppf(0.05))):
+        estimate, error = (float(one) for one in kind.estimated(identity, lines))
+        assert estimate == pytest.approx(exact, abs=error)
+    far, error = Probability(above=1.0).estimated(identity, lines)
+    assert float(far) == pytest.approx((1 - part) * stats.norm.sf(1.0) + part, abs=1e-8)
+    assert float(error) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("germs", [[LegendreGerm(), HermiteGerm()], [HermiteGerm(), LaguerreGerm(2.0)] * 2])
+@pytest.mark.parametrize(
+    "kind", [Quantile(0.02), Probability(below=-1.0), ConditionalValueAtRisk(0.7), Probability(above=-0.2, below=0.4)]
+)
+def test_tails_of_known_coefficients_and_their_slopes_are_those_of_programs(kind, germs):
+    basis = basis_of(germs, 2)
+    lines, coefficients = prepare([kind], basis).of(kind), random_coefficients(basis, 3)
+    known = sloped(kind, coefficients[:, None], lines)
+    value, slopes = jax.jit(jax.value_and_grad(lambda terms: kind.of(terms, lines)))(jnp.asarray(coefficients))
+    assert known.values == pytest.approx(float(value), rel=1e-10)
+    np.testing.assert_allclose(known.slopes[:, 0], slopes, rtol=1e-6, atol=1e-8)
 
 
 def test_a_called_function_that_returns_one_array_again_and_again_is_read_each_time():

@@ -175,7 +175,7 @@ def _warn_of_integral(kind: AbstractStatistic, value: np.ndarray, error: np.ndar
     if error[worst] > _INTEGRATED * size[worst]:
         warnings.warn(
             f"{kind.text('output')} of the expansion is {value[worst]:.3g} ± {error[worst]:.1g} (95 %): few of the "
-            "lines along which it is integrated meet that tail.",
+            "lines along which it is integrated meet that tail, or a density has a gap there.",
             ExpansionWarning,
             stacklevel=4,
         )

@@ -127,13 +127,13 @@ class Division(Module):
         """The probability of each element."""
         return self.roots**2
 
-    def elements(self, whole: Float[Array, "all_terms *shape"]) -> Float[Array, "elements terms *shape"]:
+    def elements(self, whole: Float[Any, "all_terms *shape"]) -> Float[Any, "elements terms *shape"]:
         """The coefficients in each element, in polynomials that are orthonormal there."""
         _, whole = in_library(whole)
         count = len(self.roots)
         return self._turned(whole.reshape(count, len(whole) // count, *whole.shape[1:]), first=True)
 
-    def whole(self, elements: Float[Array, "elements terms *shape"]) -> Float[Array, "all_terms *shape"]:
+    def whole(self, elements: Float[Any, "elements terms *shape"]) -> Float[Any, "all_terms *shape"]:
         """The reverse."""
         return self._turned(elements, first=False)
 

@@ -13,7 +13,7 @@ sampling; Owen and Zhou, 2000, on mixtures that keep the given distribution).
 
 import math
 from dataclasses import replace
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -26,23 +26,22 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
-from aleator.statistics._statistic import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
 # Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
 # minimum. All are powers of two: with the replicates, each has a digital net of its own.
-_SIZES, _MINIMA = (128, 64, 32, 8, 8, 8, 8), 4
+_SIZES, MINIMA = (128, 64, 32, 8, 8, 8, 8), 4
 REPLICATES = 8
 
 # Distances from the origin, in standard deviations: one tail probability in 4000, in 30 000, and the reach of the two
 # wider distributions.
-_SEARCHED, _CENTRE, _REACHES = 3.5, 4.0, (3.0, 5.0)
-_DESCENTS, _STARTS = 12, 64
-_APART = 0.7  # cosine between minima that are told apart
+SEARCHED, CENTRE, _REACHES = 3.5, 4.0, (3.0, 5.0)
+DESCENTS, _STARTS = 12, 64
+APART = 0.7  # cosine between minima that are told apart
 # Directions are rounded to this, so that lines rest in the last steps of a search for an optimum, and values follow
 # their derivatives there, in which lines rest. A step of the directions changes the error of an integral alone, by
 # about a thousandth of itself.
-_STILL = 2.0**-10
+STILL = 2.0**-10
 
 # The part of a line that counts, beyond which lies 3e-12. Cells of it by the number of variables.
 END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 150}, 33
@@ -57,7 +56,9 @@ SINGLE = 4
 _POINTS, _WIDEST, _WIDTH = 512, 0.85, 1.6
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
-_LAST, _TABLED = 8.2, 1024
+LAST, TABLED = 8.2, 1024
+# A table that is off by this part of a germ variable's spread does not tell where an output crosses a threshold.
+_OFF = 1e-3
 
 # So many points are evaluated at once, for the cache.
 _TOGETHER = 2**11
@@ -93,7 +94,8 @@ class Cloud(Module):
 class Lines(Module):
     """What lines through the normal variables need of a basis, in the variables that it contains.
 
-    - `table`: the germ variables as cubic splines of the normal ones; `is_normal`: those that are normal themselves;
+    - `table`: the germ variables as cubic splines of the normal ones; `is_steep`: cells in which these miss them, as
+      between two modes of a density; `is_normal`: those that are normal themselves;
     - `recurrence`: the coefficients `a[n]`, `b[n]` and `b[n + 1]` of their polynomials, shape (orders, 3, variables);
     - `factors`: of each term, by degree and variable, filled up with the constant polynomial;
     - `normals`: the lines' points by a standard normal distribution; `starts`: directions at
@@ -103,6 +105,7 @@ class Lines(Module):
     """
 
     table: Float[Array, "variables cells 4"]
+    is_steep: Float[Array, "variables cells"]
     is_normal: Float[Array, "variables 1"]
     recurrence: Float[Array, "orders 3 variables"]
     factors: Int[Array, "factors terms"]
@@ -165,44 +168,44 @@ class Lines(Module):
         return product
 
     def _germ(self, normal: Float[Array, "variables n"]) -> Float[Array, "variables n"]:
-        place = jnp.clip((normal + _LAST) * (_TABLED / (2 * _LAST)), 0.0, float(_TABLED))
-        cell = jnp.minimum(place.astype(int), _TABLED - 1)
+        place = jnp.clip((normal + LAST) * (TABLED / (2 * LAST)), 0.0, float(TABLED))
+        cell = jnp.minimum(place.astype(int), TABLED - 1)
         cubic = self.table[jax.lax.broadcasted_iota(int, cell.shape, 0), cell]
         return jnp.where(self.is_normal > 0, normal, horner(jnp.moveaxis(cubic, -1, 0), (place - cell)[None])[0])
 
-    def first_of(self, cell: Int[Array, "*cells"]) -> Float[Array, "*cells"]:
+    def first_of(self, cell: Int[Any, "*cells"]) -> Float[Any, "*cells"]:
         """Where a cell begins, in standard deviations."""
         return (cell - self.cells / 2) * self.step
 
     def along(self, coefficients: Float[Array, " terms"]) -> LineValues:
         """An output with mean zero along lines for its small values."""
         minima = jax.lax.stop_gradient(self.minima(coefficients))
-        minima = _unit(jnp.round(minima / _STILL) * _STILL)
+        minima = unit(jnp.round(minima / STILL) * STILL)
         direction = minima[:, 0]
-        points, weights = _placed(self.normals, direction, _CENTRE * minima)
+        points, weights = placed(self.normals, direction, CENTRE * minima)
         # Slopes at the ends of cells take two more nodes beyond either end.
         places = self.first_of(jnp.arange(-2, self.cells + 3))
         nodes = points[..., None] + direction[:, None, None] * places[None, None]
         values = self.values(coefficients, nodes.reshape(len(points), -1)).reshape(nodes.shape[1:])
-        return LineValues(points, direction, weights, _cubics(values))
+        return LineValues(points, direction, weights, cubics_through(values))
 
     def minima(self, coefficients: Float[Array, " terms"]) -> Float[Array, "variables minima"]:
         """Directions in which the expansion is smallest at some distance, the best one first."""
 
         def chosen(left: Float[Array, " starts"], _: None) -> tuple[Array, Array]:
             best = self.starts[:, jnp.argmin(left)]
-            return jnp.where(best @ self.starts > _APART, jnp.inf, left), best
+            return jnp.where(best @ self.starts > APART, jnp.inf, left), best
 
         def heights(at: Float[Array, "variables minima"]) -> tuple[Array, Array]:
-            values = self.values(coefficients, _SEARCHED * at)
+            values = self.values(coefficients, SEARCHED * at)
             return jnp.sum(values), values
 
         def descend(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
             slope, values = jax.grad(heights, has_aux=True)(state[0])
-            return _unit(state[0] - _unit(slope)), values
+            return unit(state[0] - unit(slope)), values
 
-        starts = jax.lax.scan(chosen, coefficients @ self.at_starts, None, _MINIMA)[1].T
-        minima, values = jax.lax.fori_loop(0, _DESCENTS, descend, (starts, jnp.zeros(_MINIMA)))
+        starts = jax.lax.scan(chosen, coefficients @ self.at_starts, None, MINIMA)[1].T
+        minima, values = jax.lax.fori_loop(0, DESCENTS, descend, (starts, jnp.zeros(MINIMA)))
         return minima[:, jnp.argsort(values)]
 
 
@@ -226,54 +229,60 @@ class LinesInElements(Module):
 AnyLines: TypeAlias = Lines | LinesInElements
 
 
-def _placed(
-    normals: Float[Array, "variables replicates lines_of_one"],
-    direction: Float[Array, " variables"],
-    centres: Float[Array, "variables minima"],
-) -> tuple[Float[Array, "variables lines"], Float[Array, "replicates lines_of_one"]]:
+def placed(
+    normals: Float[Any, "variables replicates lines_of_one"],
+    direction: Float[Any, " variables"],
+    centres: Float[Any, "variables minima"],
+) -> tuple[Float[Any, "variables lines"], Float[Any, "replicates lines_of_one"]]:
     """Points of lines in the plane across their direction, and their weights."""
+    library, normals, direction, centres = in_library(normals, direction, centres)
     variables, replicates, count = normals.shape
     # Householder's reflection of the last axis to the direction.
-    mirror = _unit(jnp.zeros((variables, 1)).at[-1].set(1.0) - direction[:, None])[:, 0]
+    mirror = unit(np.eye(variables)[:, -1:] - direction[:, None])[:, 0]
     flat = normals.reshape(variables, -1)
-    flat = flat - 2 * jnp.outer(mirror, mirror @ flat)
+    flat = flat - 2 * library.outer(mirror, mirror @ flat)
     if variables <= max(_ON_A_LATTICE):
-        distance = jnp.maximum(root(jnp.sum(normals**2, axis=0)), _NEAREST)
-        even = jnp.arcsinh(distance)
-        weights = jnp.exp(-(distance**2) / 2) * jnp.cosh(even) * (distance / even) ** (variables - 2)
-        return flat, weights * (replicates / jnp.sum(weights))
+        distance = library.maximum(library.sqrt(library.sum(normals**2, axis=0)), _NEAREST)
+        even = library.arcsinh(distance)
+        weights = library.exp(-(distance**2) / 2) * library.cosh(even) * (distance / even) ** (variables - 2)
+        return flat, weights * (replicates / library.sum(weights))
     sizes = np.array(_SIZES)
-    spreads = np.array([1.0, *(np.sqrt(1 + reach**2 / variables) for reach in _REACHES), *[1.0] * _MINIMA])
-    across = centres - jnp.outer(direction, direction @ centres)
-    middles = jnp.concatenate([jnp.zeros((variables, 1 + len(_REACHES))), across], axis=1)
+    spreads = np.array([1.0, *(np.sqrt(1 + reach**2 / variables) for reach in _REACHES), *[1.0] * MINIMA])
+    across = centres - library.outer(direction, direction @ centres)
+    middles = library.concatenate([library.zeros((variables, 1 + len(_REACHES))), across], axis=1)
     which = np.tile(np.repeat(np.arange(len(sizes)), sizes), replicates)
     points = middles[:, which] + spreads[which][None] * flat
-    distances = jnp.sum((points[:, None] - middles[..., None]) ** 2, axis=0)
+    distances = library.sum((points[:, None] - middles[..., None]) ** 2, axis=0)
     logs = -distances / (2 * spreads[:, None] ** 2) + np.log(sizes / spreads ** (variables - 1))[:, None]
-    weights = jnp.exp(logs[0] - jax.scipy.special.logsumexp(logs, axis=0)).reshape(replicates, count)
-    return points, weights * (replicates / jnp.sum(weights))
+    # The largest first, so that nothing overflows.
+    parts = library.exp(logs - logs.max(axis=0, keepdims=True))
+    weights = (parts[0] / library.sum(parts, axis=0)).reshape(replicates, count)
+    return points, weights * (replicates / library.sum(weights))
 
 
-def _cubics(values: Float[Array, "lines nodes"]) -> Float[Array, "4 lines cells"]:
+def cubics_through(values: Float[Any, "lines nodes"]) -> Float[Any, "4 lines cells"]:
     """Hermite's cubics between nodes, with slopes by differences of fourth order; constant term first."""
+    library, values = in_library(values)
     slopes = (8 * (values[:, 3:-1] - values[:, 1:-3]) - (values[:, 4:] - values[:, :-4])) / 12
     values = values[:, 2:-2]
-    first, last, rise = slopes[:, :-1], slopes[:, 1:], jnp.diff(values, axis=1)
-    return jnp.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
+    first, last, rise = slopes[:, :-1], slopes[:, 1:], library.diff(values, axis=1)
+    return library.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
 
 
-def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
+def horner(powers: Float[Any, "orders *lines"], x: Float[Any, "points *lines"]) -> Float[Any, "points *lines"]:
     """The values of polynomials, each at its own points."""
-    value = jnp.broadcast_to(powers[-1][None], x.shape)
+    library, powers, x = in_library(powers, x)
+    value = library.broadcast_to(powers[-1][None], x.shape)
     for coefficient in powers[-2::-1]:
         value = value * x + coefficient[None]
     return value
 
 
-def _unit(vectors: Float[Array, "variables n"]) -> Float[Array, "variables n"]:
+def unit(vectors: Float[Any, "variables n"]) -> Float[Any, "variables n"]:
     """Columns of length one; those of no length stay."""
-    length = root(jnp.sum(vectors**2, axis=0, keepdims=True))
-    return vectors / jnp.where(length > 0, length, 1.0)
+    library, vectors = in_library(vectors)
+    length = library.sqrt(library.sum(vectors**2, axis=0, keepdims=True))
+    return vectors / library.where(length > 0, length, 1.0)
 
 
 def refuse_steps(basis: AbstractBasis) -> None:
@@ -303,14 +312,16 @@ def _lines(basis: AbstractBasis) -> Lines:
     indices = basis.indices[:, active] if active else np.zeros((basis.terms, 1), dtype=int)
     orders = int(indices.max(initial=0)) + 1
     starts, recurrences = _starts(len(germs)), [germ.recurrence(orders) for germ in germs]
+    tables, steep = zip(*map(_table, germs), strict=True)
     return Lines(
-        table=jax_array(np.stack([_table(germ) for germ in germs])),
+        table=jax_array(np.stack(tables)),
+        is_steep=jax_array(np.stack(steep)),
         is_normal=jax_array([[float(isinstance(germ, HermiteGerm))] for germ in germs]),
         recurrence=jax_array(np.stack([[a[:-1], b[:-1], b[1:]] for a, b in recurrences], axis=-1).swapaxes(0, 1)),
         factors=jax_array(_factors(indices)),
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
-        at_starts=jax_array(_at(basis, active, _SEARCHED * starts)),
+        at_starts=jax_array(_at(basis, active, SEARCHED * starts)),
         cloud=_cloud_of(basis, active),
         active=tuple(active),
         cells=_CELLS.get(len(germs), _FEWEST_CELLS),
@@ -337,12 +348,15 @@ def _at(
     return basis.matrix(basis.map_to_germ(levels)).T
 
 
-def _table(germ: AbstractGerm) -> Float[np.ndarray, "cells 4"]:
-    """A germ variable by a standard normal one of the same level: cubics by powers of the place in a cell."""
-    normal = np.linspace(-_LAST, _LAST, _TABLED + 1)
+def _table(germ: AbstractGerm) -> tuple[Float[np.ndarray, "cells 4"], Float[np.ndarray, " cells"]]:
+    """A germ variable by a standard normal one of the same level: cubics by powers of the place in a cell, and cells in
+    the middle of which these are off.
+    """
+    normal = np.linspace(-LAST, LAST, 2 * TABLED + 1)
     values = germ.quantile(scipy.special.ndtr(normal))
-    spline = scipy.interpolate.CubicSpline(np.arange(_TABLED + 1.0), values)
-    return spline.c[::-1].T
+    spline = scipy.interpolate.CubicSpline(np.arange(TABLED + 1.0), values[::2])
+    off = np.abs(spline(np.arange(TABLED) + 0.5) - values[1::2])
+    return spline.c[::-1].T, (off > _OFF * germ.recurrence(2)[1][1]).astype(float)
 
 
 def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "factors terms"]:

@@ -15,25 +15,29 @@ import scipy
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar, in_library
+from aleator._core.arrays import Scalar, in_library, quietly
 from aleator._core.leaves import Module
 from aleator.statistics._lines import END, AnyLines, Lines, LinesInElements, LineValues, horner
 from aleator.statistics._statistic import root
 
 # Of a search for a quantile: most steps, and the width of a bracket at which it ends.
-_MOST_STEPS, _NARROW = 100, 1e-13
+MOST_STEPS, NARROW = 100, 1e-13
 
-_NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
-_NODES = _NODES + 0.5
+NODES, WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
+NODES = NODES + 0.5
 
 # Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
 # this, after which the error of a simple root, which a step squares, is rounding.
-_MOST_ITERATIONS, _AT_REST = 30, 1e-9
+MOST_ITERATIONS, AT_REST = 30, 1e-9
 # At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
 # part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
 _AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 # An element varies by less than this part of the spread: not at all.
-_CONSTANT = 1e-9
+CONSTANT = 1e-9
+
+
+EQUAL = 1e-14
+"""Values of an output that differ by this part of its root mean square are equal."""
 
 
 class Cut(NamedTuple):
@@ -104,12 +108,12 @@ class AbstractLowerTail(Module):
         density is without bound, and steps are short far from the quantile. The first bracket is that of Cantelli's
         inequality.
         """
-        target, reach = normal_score(level), 1.01 * self.std
-        low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
+        target = normal_score(level)
+        low, high = bracket_of(level, self.std)
 
         def unfinished(state: Search) -> Bool[Array, ""]:
-            is_wide = state.high - state.low > _NARROW * self.std
-            return (jnp.abs(state.off) > self.close) & is_wide & (state.steps < _MOST_STEPS)
+            is_wide = state.high - state.low > NARROW * self.std
+            return (jnp.abs(state.off) > self.close) & is_wide & (state.steps < MOST_STEPS)
 
         def narrow(state: Search) -> Search:
             at = state.following
@@ -118,7 +122,7 @@ class AbstractLowerTail(Module):
             low, high = jnp.where(is_low, at, state.low), jnp.where(is_low, state.high, at)
             score = normal_score(cut.below)
             off = jnp.where(jnp.isfinite(score), score - target, jnp.inf)
-            newton = at - off * _normal(score) / cut.density
+            newton = at - off * density_of(score) / cut.density
             usable = (newton > low) & (newton < high) & (jnp.abs(off) <= jnp.abs(state.off) / 2)
             following = jnp.where(usable, newton, (low + high) / 2)
             return Search(low, high, following, at, off, cut, state.steps + 1)
@@ -166,16 +170,9 @@ class TailByLines(AbstractLowerTail):
         """That of an output with mean zero."""
         values = lines.along(signed)
         fixed = jax.lax.stop_gradient(values.cubics)
-        _, slope, bend, rest = fixed
-        # A cubic between ends with slopes of different signs has one extremum there.
-        turns = slope * (slope + 2 * bend + 3 * rest) < 0
-        radicand = root(bend**2 - 3 * rest * slope)
-        larger = -(bend + jnp.where(bend < 0, -1.0, 1.0) * radicand)
-        near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
-        middle = jnp.where(turns, jnp.clip(jnp.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
-        ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
+        ends = monotone_parts(fixed)
         along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
-        masses = -jnp.diff(_beyond(along), axis=0)
+        masses = -jnp.diff(beyond(along), axis=0)
         return cls(root(jnp.sum(signed**2)), signed, values, ends, horner(fixed, ends), masses, lines)
 
     @override
@@ -194,12 +191,12 @@ class TailByLines(AbstractLowerTail):
         step, first = self.lines.step, self.lines.first_of(cell)
         along = first + place * step
         is_crossing = intervals < low.size
-        parts = jnp.where(is_crossing, _beyond(first + start * step) - _beyond(first + end * step), 0.0)
+        parts = jnp.where(is_crossing, beyond(first + start * step) - beyond(first + end * step), 0.0)
         inside = low & high
         whole = jnp.sum(jnp.where(inside, self.masses, 0.0), axis=(0, 2))
         slope = jnp.abs(with_slope(cubic, place[None])[1][0]) / step
         regular = is_crossing & (slope > 0)
-        densities = jnp.where(regular, _normal(along) / jnp.where(regular, slope, 1.0), 0.0)
+        densities = jnp.where(regular, density_of(along) / jnp.where(regular, slope, 1.0), 0.0)
         fractions = whole + jax.ops.segment_sum(parts, line, count)
         weights = self.values.weights.ravel() / len(self.values.weights)
         length = jnp.where(is_crossing, end - start, 0.0)
@@ -213,7 +210,7 @@ class TailByLines(AbstractLowerTail):
         heights = self.lines.values(self.signed, points) - threshold
         off = jax.lax.stop_gradient(heights)
         # What the output itself is off at the crossings of its cubics, unless it hardly rises there.
-        is_near = jnp.abs(off * at.densities) < _normal(at.along) * self.lines.step
+        is_near = jnp.abs(off * at.densities) < density_of(at.along) * self.lines.step
         change = heights - jnp.where(is_near, 0.0, off)
         weights = self.values.weights.ravel()
         return (weights @ at.fractions - (weights[at.line] * at.densities) @ change) / len(self.values.weights)
@@ -236,12 +233,41 @@ class TailByLines(AbstractLowerTail):
         Zero where one line is exact.
         """
         weights = self.values.weights
-        replicates = len(weights)
-        if replicates == 1:
-            return jnp.zeros(())
-        each = jnp.sum(weights * at.fractions.reshape(weights.shape), axis=1) / jnp.sum(weights, axis=1)
-        covers = float(scipy.special.stdtrit(replicates - 1, 0.975)) / math.sqrt(replicates)
-        return covers * jnp.std(each, ddof=1)
+        return jnp.asarray(error_of(weights, at.fractions.reshape(weights.shape)))
+
+
+def error_of(
+    weights: Float[Any, "replicates lines_of_one"], fractions: Float[Any, "replicates lines_of_one"]
+) -> Float[Any, ""]:
+    """The 95 % half-width of a probability by the scatter of its replicates."""
+    library, weights, fractions = in_library(weights, fractions)
+    replicates = len(weights)
+    if replicates == 1:
+        return library.zeros(())
+    each = library.sum(weights * fractions, axis=1) / library.sum(weights, axis=1)
+    covers = float(scipy.special.stdtrit(replicates - 1, 0.975)) / math.sqrt(replicates)
+    return covers * library.std(each, ddof=1)
+
+
+def bracket_of(level: Scalar, std: Scalar) -> tuple[Any, Any]:
+    """Between which values a quantile lies, by Cantelli's inequality."""
+    library, level, std = in_library(level, std)
+    reach = 1.01 * std
+    return -reach * library.sqrt((1 - level) / level), reach * library.sqrt(level / (1 - level))
+
+
+@quietly
+def monotone_parts(cubics: Float[Any, "4 lines cells"]) -> Float[Any, "3 lines cells"]:
+    """Places in each cell between which its cubic rises or falls: the ends, and an extremum if there is one."""
+    library, cubics = in_library(cubics)
+    _, slope, bend, rest = cubics
+    # A cubic between ends with slopes of different signs has one extremum there.
+    turns = slope * (slope + 2 * bend + 3 * rest) < 0
+    radicand = library.sqrt(library.maximum(bend**2 - 3 * rest * slope, 0.0))
+    larger = -(bend + library.where(bend < 0, -1.0, 1.0) * radicand)
+    near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
+    middle = library.where(turns, library.clip(library.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
+    return library.stack([0 * middle, middle, 1 + 0 * middle])
 
 
 def _shortfall(
@@ -249,9 +275,9 @@ def _shortfall(
 ) -> Array:
     """The integral of the shortfall over a part of each cell, by Gauss's rule."""
     total = jnp.zeros(start.shape)
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+    for node, weight in zip(NODES, WEIGHTS, strict=True):
         place = start + node * length
-        density = weight * length * step * _normal(first + place * step)
+        density = weight * length * step * density_of(first + place * step)
         total = total + density * (threshold - horner(cubic, place))
     return total
 
@@ -267,43 +293,54 @@ def root_within(
 
     def is_moving(state: tuple[Array, ...]) -> Bool[Array, ""]:
         *_, moving, count = state
-        return moving & (count < _MOST_ITERATIONS)
+        return moving & (count < MOST_ITERATIONS)
 
     def narrow(state: tuple[Array, ...]) -> tuple[Array, ...]:
         low, high, x, _, count = state
-        value, slope = with_slope(powers, x)
-        below = (value < 0) == rising
-        low, high = jnp.where(below, x, low), jnp.where(below, high, x)
-        newton = x - value / jnp.where(slope == 0, 1.0, slope)
-        edge = _AT_THE_EDGE * (high - low) + _ROUNDING
-        usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
-        closer = jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
-        return low, high, closer, jnp.any(jnp.abs(closer - x) > _AT_REST), count + 1
+        low, high, closer = closer_to_root(powers, low, high, rising, x)
+        return low, high, closer, jnp.any(jnp.abs(closer - x) > AT_REST), count + 1
 
     return jax.lax.while_loop(is_moving, narrow, (low, high, start, jnp.array(True), jnp.zeros((), int)))[2]
 
 
-def with_slope(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> tuple[Array, Array]:
+def closer_to_root(powers: Any, low: Any, high: Any, rising: Any, x: Any) -> tuple[Any, Any, Any]:
+    """A step of `root_within`: the bracket, and the next place."""
+    library, powers, low, high, rising, x = in_library(powers, low, high, rising, x)
+    value, slope = with_slope(powers, x)
+    below = (value < 0) == rising
+    low, high = library.where(below, x, low), library.where(below, high, x)
+    newton = x - value / library.where(slope == 0, 1.0, slope)
+    edge = _AT_THE_EDGE * (high - low) + _ROUNDING
+    usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
+    return low, high, library.where(usable, library.clip(newton, low, high), (low + high) / 2)
+
+
+def with_slope(powers: Float[Any, "orders *lines"], x: Float[Any, "points *lines"]) -> tuple[Any, Any]:
     """The values and first derivatives of polynomials, each at its own points."""
-    value, slope = jnp.broadcast_to(powers[-1][None], x.shape), jnp.zeros(x.shape)
+    library, powers, x = in_library(powers, x)
+    value, slope = library.broadcast_to(powers[-1][None], x.shape), library.zeros(x.shape)
     for coefficient in powers[-2::-1]:
         slope = slope * x + value
         value = value * x + coefficient[None]
     return value, slope
 
 
-def _ratio(above: Array, below: Array) -> Array:
-    return jnp.where(below == 0, 2.0, above / jnp.where(below == 0, 1.0, below))
+def _ratio(above: Any, below: Any) -> Any:
+    library, above, below = in_library(above, below)
+    return library.where(below == 0, 2.0, above / library.where(below == 0, 1.0, below))
 
 
-def _normal(at: Array) -> Array:
-    return jnp.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
+def density_of(at: Any) -> Any:
+    """The density of a standard normal variable."""
+    library, at = in_library(at)
+    return library.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
 
 
-def _beyond(at: Array) -> Array:
+def beyond(at: Any) -> Any:
     """The probability of a normal variable beyond a number, where lines have their small values, as far as lines go."""
-    outside = math.erfc(END / math.sqrt(2)) / 2
-    return (jax.lax.erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
+    outside, (library, at) = math.erfc(END / math.sqrt(2)) / 2, in_library(at)
+    erfc = scipy.special.erfc if library is np else jax.lax.erfc
+    return (erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
 
 
 def normal_score(probability: Scalar) -> Array:
@@ -352,7 +389,7 @@ class TailInElements(AbstractLowerTail):
         """One that many systems share, as those of a stop do, moves with their elements, which are constant."""
         quantile, cut = super().quantile(level)
         middles, rest = self.tails.signed[:, 0], root(jnp.sum(self.tails.signed[:, 1:] ** 2, axis=1))
-        is_shared = jnp.maximum(jnp.abs(middles - quantile), rest) <= _CONSTANT * self.std
+        is_shared = jnp.maximum(jnp.abs(middles - quantile), rest) <= CONSTANT * self.std
         shares = jax.lax.stop_gradient(jnp.where(is_shared, self.probability, 0.0))
         moved = shares @ (middles - jax.lax.stop_gradient(middles)) / jnp.maximum(jnp.sum(shares), np.finfo(float).tiny)
         return quantile + moved, cut

@@ -22,12 +22,10 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar, in_library, jax_array, numbers_to_arrays, quietly
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
+from aleator.statistics._known_tails import KnownDistribution
 from aleator.statistics._lines import SINGLE, AnyLines, Cloud
-from aleator.statistics._lower_tails import AbstractLowerTail, Cut, lower_tail
+from aleator.statistics._lower_tails import EQUAL, AbstractLowerTail, Cut, lower_tail
 from aleator.statistics._statistic import Std, in_blocks, root
-
-EQUAL = 1e-14
-"""Values of an output that differ by this part of its root mean square are equal."""
 
 # Points are evaluated for so many entries at once.
 _TOGETHER = 64
@@ -118,6 +116,11 @@ class OutputDistribution(NamedTuple):
         at = jax.lax.stop_gradient(tail.cut(sign * off))
         beyond = tail.below(sign * off, at)
         return Estimate(jnp.where(is_lower != above, beyond, 1 - beyond), tail.error(at))
+
+    def between(self, low: Scalar, high: Scalar) -> Estimate:
+        """The probability of values between two, these included."""
+        under, over = self.chance(low, above=False, or_equal=True), self.chance(high, above=True, or_equal=True)
+        return Estimate(1 - under.value - over.value, under.error + over.error)
 
     def density(self, value: Float[Array, ""]) -> Float[Array, ""]:
         """The probability density at a value. Not differentiable."""
@@ -265,22 +268,15 @@ def _sloped(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> A
     return value, error, slopes
 
 
-def _row_by_lines(
-    kind: Any, coefficients: Float[Array, " terms"], lines: AnyLines, entries: int
-) -> Float[Array, " results"]:
-    row, lines = rows_of([kind], [coefficients])[:, 0], lines.for_one_of(entries)
-    return _flat(_sloped(jax.tree.structure(kind), row, partial(lower_tail, lines=lines)))
-
-
 def _rows_by_points(
     kind: Any, coefficients: Float[Array, "terms entries"], cloud: Cloud
 ) -> Float[Array, "results entries"]:
     return _by_points(partial(_sloped, jax.tree.structure(kind)), rows_of([kind], [coefficients]), cloud)
 
 
-# Their equations know no problem: one program serves all with as many variables and terms. Most have a loop that ends
-# by a condition, and run in milliseconds.
-BY_LINES, BY_POINTS = Compiled(_row_by_lines, use=Use.ONCE), Compiled(_rows_by_points, use=Use.ONCE)
+# Its equations know no problem: one program serves all with as many terms. It has a loop that ends by a condition, and
+# runs in milliseconds.
+BY_POINTS = Compiled(_rows_by_points, use=Use.ONCE)
 
 
 class Sloped(NamedTuple):
@@ -303,17 +299,19 @@ def sloped(
     every = coefficients.reshape(terms, -1)
     is_finite = np.isfinite(every).all(axis=0)
     results, entries = np.full((2 + terms, every.shape[1]), np.nan), every[:, is_finite]
-    few, numbers = min(every.shape[1], SINGLE + 1), numbers_to_arrays(kind)  # one program for a few, one for more
+    numbers, lines = numbers_to_arrays(kind), lines.for_one_of(every.shape[1])
+    known = jax.tree.map(np.asarray, lines)
 
     def by_points(some: Float[np.ndarray, "terms entries"]) -> Float[np.ndarray, "results entries"]:
         filled = np.pad(some, ((0, 0), (0, _TOGETHER - some.shape[1])), mode="edge")
         return np.asarray(BY_POINTS(numbers, jax_array(filled), lines.cloud))[: 2 + terms, : some.shape[1]]
 
     def by_lines_at(entry: int) -> Float[np.ndarray, " results"]:
-        return np.asarray(BY_LINES(numbers, jax_array(entries[:, entry]), lines, few))[: 2 + terms]
+        value, error, slopes = kind.of_distribution(KnownDistribution(entries[:, entry], known))
+        return np.array([value, error, *slopes])
 
     share, coarse = np.ones(entries.shape[1]), np.zeros((2 + terms, entries.shape[1]))
-    if few > SINGLE and entries.size and not by_lines_alone:
+    if every.shape[1] > SINGLE and entries.size and not by_lines_alone:
         share = np.asarray(_share_by_lines(kind, entries))
         blocks = np.split(entries, range(_TOGETHER, entries.shape[1], _TOGETHER), axis=1)
         coarse = np.concatenate(list(over_devices(by_points, blocks)), axis=1)
@@ -328,7 +326,5 @@ def sloped(
 
 def prepare_sloped(kind: Any, shape: tuple[int, ...], lines: AnyLines) -> None:
     """Begin to compile what `sloped` will call for coefficients of a shape."""
-    terms, entries, numbers = shape[0], math.prod(shape[1:]), numbers_to_arrays(kind)
-    BY_LINES.prepare(numbers, jax_array(np.zeros(terms)), lines, min(entries, SINGLE + 1))
-    if entries > SINGLE:
-        BY_POINTS.prepare(numbers, jax_array(np.zeros((terms, _TOGETHER))), lines.cloud)
+    if math.prod(shape[1:]) > SINGLE:
+        BY_POINTS.prepare(numbers_to_arrays(kind), jax_array(np.zeros((shape[0], _TOGETHER))), lines.cloud)

@@ -22,9 +22,8 @@ from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
 from aleator.statistics._lines import AnyLines, lines_through
-from aleator.statistics._lower_tails import normal_score
+from aleator.statistics._lower_tails import EQUAL, normal_score
 from aleator.statistics._output_distribution import (
-    EQUAL,
     Estimate,
     OutputDistribution,
     TailOf,
@@ -186,9 +185,7 @@ class Probability(AbstractTail):
     def of_distribution(self, distribution: OutputDistribution) -> Estimate:
         if self.above is None or self.below is None:
             return distribution.chance(self._thresholds[0], above=self.below is None)
-        low = distribution.chance(self.above, above=False, or_equal=True)
-        high = distribution.chance(self.below, above=True, or_equal=True)
-        return Estimate(1 - low.value - high.value, low.error + high.error)
+        return distribution.between(self.above, self.below)
 
     @property
     def _thresholds(self) -> list[Scalar]:

@@ -1,0 +1,432 @@
+"""Tails of outputs whose coefficients are known, by NumPy, with derivatives in closed form: nothing is compiled.
+
+The integrals along lines are those of `_lower_tails`, whose programs take seconds for each basis and serve tails inside
+other programs.
+"""
+
+import abc
+from typing import Any, NamedTuple, final
+
+import jax
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float, Int
+from typing_extensions import override
+
+from aleator._core.arrays import quietly
+from aleator.statistics._lines import (
+    APART,
+    CENTRE,
+    DESCENTS,
+    LAST,
+    MINIMA,
+    SEARCHED,
+    STILL,
+    TABLED,
+    AnyLines,
+    Lines,
+    LinesInElements,
+    cubics_through,
+    horner,
+    placed,
+    unit,
+)
+from aleator.statistics._lower_tails import (
+    AT_REST,
+    CONSTANT,
+    EQUAL,
+    MOST_ITERATIONS,
+    MOST_STEPS,
+    NARROW,
+    NODES,
+    WEIGHTS,
+    TailByLines,
+    beyond,
+    bracket_of,
+    closer_to_root,
+    density_of,
+    error_of,
+    monotone_parts,
+    with_slope,
+)
+
+# Points are evaluated for so many at once, for the cache.
+_TOGETHER = 2**11
+# The step of derivatives by imaginary parts, which lose no digits.
+_IMAGINARY = 1e-30
+# The width of a cell of the tables of germ variables, in standard deviations.
+_CELL = 2 * LAST / TABLED
+
+
+class Known(NamedTuple):
+    """A statistic of an output, the 95 % half-width of its integral, and its derivatives by the coefficients."""
+
+    value: float
+    error: float
+    slopes: Float[np.ndarray, " terms"]
+
+
+class _Cut(NamedTuple):
+    """Where an output crosses a threshold, as `Cut`.
+
+    - `doubt`: the probability of places at which a germ variable all but jumps, so that the crossing may be elsewhere;
+    - `elements`: that of each element, if there are any; all else is of lines alone.
+    """
+
+    below: float
+    density: float
+    doubt: float = 0.0
+    elements: tuple["_Cut", ...] = ()
+    inside: Bool[np.ndarray, "2 lines cells"] = np.zeros((2, 0, 0), bool)
+    fractions: Float[np.ndarray, " lines"] = np.zeros(0)
+    line: Int[np.ndarray, " crossings"] = np.zeros(0, int)
+    cell: Int[np.ndarray, " crossings"] = np.zeros(0, int)
+    along: Float[np.ndarray, " crossings"] = np.zeros(0)
+    densities: Float[np.ndarray, " crossings"] = np.zeros(0)
+    start: Float[np.ndarray, " crossings"] = np.zeros(0)
+    length: Float[np.ndarray, " crossings"] = np.zeros(0)
+
+
+class _AbstractKnownTail(abc.ABC):
+    """What lies below a threshold, of an output with mean zero, or of its negative. Slopes are by its coefficients."""
+
+    std: float
+
+    @abc.abstractmethod
+    def cut(self, threshold: float) -> _Cut:
+        """The output at a threshold."""
+
+    @abc.abstractmethod
+    def below(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+        """The probability below a threshold. Its derivative by the threshold is the density."""
+
+    @abc.abstractmethod
+    def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+        """The expected shortfall below a threshold, zero for values above it."""
+
+    @abc.abstractmethod
+    def error(self, at: _Cut) -> float:
+        """The 95 % half-width of the probability below a threshold."""
+
+    def quantile(self, level: float) -> tuple[float, Float[np.ndarray, " terms"], _Cut]:
+        """The quantile, by `AbstractLowerTail`'s search."""
+        target, off = float(scipy.special.ndtri(level)), np.inf
+        low, high = bracket_of(level, self.std)
+        at = float(np.clip(self.std * target, low, high))
+        last, cut = at, self.cut(at)
+        for _ in range(MOST_STEPS):
+            low, high = (last, high) if cut.below < level else (low, last)
+            score, before = float(scipy.special.ndtri(cut.below)), abs(off)
+            off = score - target if np.isfinite(score) else np.inf
+            newton = last - off * density_of(score) / cut.density if cut.density > 0 and np.isfinite(off) else np.nan
+            at = newton if low < newton < high and abs(off) <= before / 2 else (low + high) / 2
+            if abs(off) <= TailByLines.close or high - low <= NARROW * self.std:
+                break
+            last, cut = at, self.cut(at)
+        value, slopes = self.below(last, cut)
+        density = self.slope(off, cut)
+        if not density > 0:
+            return last, np.zeros(slopes.shape), cut
+        return last - (value - level) / density, -slopes / density, cut
+
+    def slope(self, off: float, cut: _Cut) -> float:
+        """The density at a quantile; zero where it is one of many systems at once."""
+        del off
+        return cut.density
+
+
+@final
+class _KnownTailByLines(_AbstractKnownTail):
+    """As `TailByLines`."""
+
+    def __init__(self, signed: Float[np.ndarray, " terms"], lines: Lines):
+        self.signed, self.lines, self.std = signed, lines, float(np.sqrt(np.sum(signed**2)))
+        minima = unit(np.round(_minima(signed, lines) / STILL) * STILL)
+        self.direction = minima[:, 0]
+        self.points, weights = placed(lines.normals, self.direction, CENTRE * minima)
+        self.share = weights.ravel() / len(weights)
+        places = lines.first_of(np.arange(-2, lines.cells + 3))
+        self.nodes = (self.points[..., None] + self.direction[:, None, None] * places).reshape(len(self.points), -1)
+        values = np.concatenate([signed @ _terms(lines, self.nodes[:, some]) for some in _blocks(self.nodes.shape[1])])
+        self.cubics = cubics_through(values.reshape(-1, len(places)))
+        self.ends = monotone_parts(self.cubics)
+        self.heights = horner(self.cubics, self.ends)
+        self.masses = -np.diff(beyond(lines.first_of(np.arange(lines.cells)) + self.ends * lines.step), axis=0)
+
+    @override
+    @quietly
+    def cut(self, threshold: float) -> _Cut:
+        is_below = self.heights < threshold
+        low, high = is_below[:-1], is_below[1:]
+        part, line, cell = np.nonzero(low != high)
+        left, right, is_falling = self.ends[part, line, cell], self.ends[part + 1, line, cell], high[part, line, cell]
+        cubic = self.cubics[:, line, cell]
+        cubic[0] -= threshold
+        place = _root_within(cubic, left, right, ~is_falling)
+        start, end = np.where(is_falling, place, left), np.where(is_falling, right, place)
+        step, first = self.lines.step, self.lines.first_of(cell)
+        along, inside = first + place * step, low & high
+        parts = beyond(first + start * step) - beyond(first + end * step)
+        whole = np.einsum("plc,plc->l", self.masses, inside)
+        slope = np.abs(with_slope(cubic, place[None])[1][0]) / step
+        densities = np.where(slope > 0, density_of(along) / slope, 0.0)
+        fractions = whole + np.bincount(line, parts, len(whole))
+        below, density = self.share @ fractions, self.share[line] @ densities
+        doubt = float(self.share[line] @ (self._is_steep(line, along) * density_of(along))) * (step + _CELL)
+        where = inside, fractions, line, cell, along, densities, start, end - start
+        return _Cut(float(below), float(density), doubt, (), *where)
+
+    def _is_steep(self, line: Int[np.ndarray, " n"], along: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Whether a germ variable is steep nearby."""
+        if not self.lines.is_steep.any():
+            return np.zeros(len(line), bool)
+        places = self.points[:, line] + np.outer(self.direction, along) + LAST
+        reach = self.lines.step * np.abs(self.direction)[:, None] + _CELL
+        counts = np.pad(np.cumsum(self.lines.is_steep, axis=1), ((0, 0), (1, 0)))
+        first, last = (np.clip((places + side * reach) / _CELL, 0, TABLED).astype(int) for side in (-1, 1))
+        return np.any(np.take_along_axis(counts, last, axis=1) > np.take_along_axis(counts, first, axis=1), axis=0)
+
+    @override
+    def below(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+        crossings, rates = (
+            self.points[:, at.line] + np.outer(self.direction, at.along),
+            self.share[at.line] * at.densities,
+        )
+        value, slopes = at.below, np.zeros(len(self.signed))
+        for some in _blocks(len(rates)):
+            terms, rate = _terms(self.lines, crossings[:, some]), rates[some]
+            off = self.signed @ terms - threshold
+            # What the output itself is off at the crossings of its cubics, unless it hardly rises there.
+            is_near = np.abs(off * at.densities[some]) < density_of(at.along[some]) * self.lines.step
+            value, slopes = value - rate @ np.where(is_near, off, 0.0), slopes - terms @ rate
+        return float(value), slopes
+
+    @override
+    def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+        step, cells = self.lines.step, self.lines.first_of(np.arange(self.lines.cells))
+        lengths = np.where(at.inside, self.ends[1:] - self.ends[:-1], 0.0)
+        powers = _gauss(self.ends[0], lengths[0], cells, step) + _gauss(self.ends[1], lengths[1], cells, step)
+        parts = _gauss(at.start, at.length, self.lines.first_of(at.cell), step)
+        for power, part in zip(powers, parts, strict=True):
+            np.add.at(power, (at.line, at.cell), part)
+        powers = self.share[:, None] * powers
+        by_node = -_by_values(powers).ravel()
+        each = [_terms(self.lines, self.nodes[:, some]) @ by_node[some] for some in _blocks(len(by_node))]
+        return float(threshold * np.sum(powers[0]) - np.sum(powers * self.cubics)), np.sum(each, axis=0)
+
+    @override
+    def error(self, at: _Cut) -> float:
+        shape = self.lines.normals.shape[1:]
+        return float(error_of(self.share.reshape(shape), at.fractions.reshape(shape))) + at.doubt
+
+
+@final
+class _KnownTailInElements(_AbstractKnownTail):
+    """As `TailInElements`."""
+
+    def __init__(self, signed: Float[np.ndarray, " terms"], lines: LinesInElements):
+        division = lines.division
+        self.std, self.division, self.share = (
+            float(np.sqrt(np.sum(signed**2))),
+            division,
+            np.asarray(division.roots) ** 2,
+        )
+        self.signed = np.asarray(division.elements(signed))
+        each = [jax.tree.map(lambda leaf, i=i: leaf[i], lines.lines) for i in range(len(self.share))]
+        self.tails = [_KnownTailByLines(own, part) for own, part in zip(self.signed, each, strict=True)]
+
+    @override
+    def cut(self, threshold: float) -> _Cut:
+        every = tuple(tail.cut(threshold) for tail in self.tails)
+        below, density = (self.share @ np.array([cut[k] for cut in every]) for k in (0, 1))
+        return _Cut(float(below), float(density), elements=every)
+
+    def _summed(self, each: list[tuple[float, np.ndarray]]) -> tuple[float, Float[np.ndarray, " terms"]]:
+        values, slopes = zip(*each, strict=True)
+        return float(self.share @ np.array(values)), self._by_whole(self.share[:, None] * np.stack(slopes))
+
+    def _by_whole(self, slopes: Float[np.ndarray, "elements terms"]) -> Float[np.ndarray, " all_terms"]:
+        """Derivatives by the coefficients of the whole expansion, from those by the coefficients of elements."""
+        return np.asarray(self.division.whole(slopes / self.share[:, None]))
+
+    @override
+    def below(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+        pairs = zip(self.tails, at.elements, strict=True)
+        return self._summed([tail.below(threshold, own) for tail, own in pairs])
+
+    @override
+    def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+        pairs = zip(self.tails, at.elements, strict=True)
+        return self._summed([tail.shortfall(threshold, own) for tail, own in pairs])
+
+    @override
+    def error(self, at: _Cut) -> float:
+        each = [tail.error(own) for tail, own in zip(self.tails, at.elements, strict=True)]
+        return float(np.sqrt(np.sum((self.share * np.array(each)) ** 2)))
+
+    @override
+    def quantile(self, level: float) -> tuple[float, Float[np.ndarray, " terms"], _Cut]:
+        """One that many systems share, as those of a stop do, moves with their elements, which are constant."""
+        quantile, slopes, cut = super().quantile(level)
+        rest = np.sqrt(np.sum(self.signed[:, 1:] ** 2, axis=1))
+        away = np.maximum(np.abs(self.signed[:, 0] - quantile), rest)
+        shares = np.where(away <= CONSTANT * self.std, self.share, 0.0)
+        moved = np.zeros(self.signed.shape)
+        moved[:, 0] = shares / max(float(np.sum(shares)), np.finfo(float).tiny)
+        return quantile, slopes + self._by_whole(moved), cut
+
+    @override
+    def slope(self, off: float, cut: _Cut) -> float:
+        return cut.density if abs(off) <= TailByLines.close else 0.0
+
+
+@final
+class KnownDistribution:
+    """The distribution of an output by its coefficients, as `OutputDistribution`. `lines`: of NumPy's arrays."""
+
+    def __init__(self, coefficients: Float[np.ndarray, " terms"], lines: AnyLines):
+        self.coefficients, self.lines = coefficients, lines
+        self.rest = np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
+
+    def _side(self, *, is_lower: bool) -> tuple[float, _AbstractKnownTail]:
+        sign = 1.0 if is_lower else -1.0
+        kind: Any = _KnownTailInElements if isinstance(self.lines, LinesInElements) else _KnownTailByLines
+        return sign, kind(sign * self.rest, self.lines)
+
+    def _slopes(self, by_mean: float, by_others: Float[np.ndarray, " terms"]) -> Float[np.ndarray, " terms"]:
+        return np.where(np.arange(len(by_others)) > 0, by_others, by_mean)
+
+    def chance(self, value: Any, *, above: bool, or_equal: bool = False) -> Known:
+        """The probability of more than a value, or of less."""
+        rounding = EQUAL * float(np.sqrt(np.sum(self.coefficients**2)))
+        off = float(value) - float(self.coefficients[0]) + (rounding if above != or_equal else -rounding)
+        sign, tail = self._side(is_lower=off < 0)
+        at = tail.cut(sign * off)
+        beyond, slopes = tail.below(sign * off, at)
+        # By the mean, from the density; by what follows, through the sign of the tail's own coefficients.
+        slopes = self._slopes(-sign * at.density, sign * slopes)
+        is_beyond = (off < 0) != above
+        return Known(beyond if is_beyond else 1 - beyond, tail.error(at), slopes if is_beyond else -slopes)
+
+    def between(self, low: Any, high: Any) -> Known:
+        """The probability of values between two, these included."""
+        under, over = self.chance(low, above=False, or_equal=True), self.chance(high, above=True, or_equal=True)
+        return Known(1 - under.value - over.value, under.error + over.error, -under.slopes - over.slopes)
+
+    def quantile(self, level: Any) -> Known:
+        """The value that the output stays below with a probability."""
+        is_lower = float(level) < 0.5
+        own = float(level) if is_lower else 1 - float(level)
+        sign, tail = self._side(is_lower=is_lower)
+        quantile, slopes, at = tail.quantile(own)
+        share = tail.error(at)
+        error = abs(quantile) if share > own / 2 else share / at.density if at.density > 0 else 0.0
+        return Known(float(self.coefficients[0]) + sign * quantile, error, self._slopes(1.0, slopes))
+
+    def mean_beyond(self, level: Any, *, lower: bool) -> Known:
+        """The mean of the values below a quantile, or above it."""
+        level = float(level)
+        is_lower = level < 0.5
+        own = level if is_lower else 1 - level
+        sign, tail = self._side(is_lower=is_lower)
+        quantile, moving, at = tail.quantile(own)
+        shortfall, slopes = tail.shortfall(quantile, at)
+        # The quantile contributes where many systems share it: else as much lies below as the level says.
+        below, slopes = quantile - shortfall / own, moving * (1 - at.below / own) - slopes / own
+        # The mean of all is zero, so that those on the other side of the quantile balance these.
+        factor = 1.0 if is_lower == lower else -own / (1 - own)
+        slope = abs(factor * below - quantile) / (level if lower else 1 - level)
+        value = float(self.coefficients[0]) + sign * factor * below
+        return Known(value, tail.error(at) * slope, self._slopes(1.0, factor * slopes))
+
+
+def _terms(lines: Lines, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "terms n"]:
+    """The terms of a basis at points of the normal variables, which may have imaginary parts."""
+    germ = _germ(lines, normal)
+    polynomials, previous, current = [], np.zeros(germ.shape), np.ones(germ.shape)
+    for a, b, after in lines.recurrence[..., None]:
+        polynomials.append(current)
+        previous, current = current, ((germ - a) * current - b * previous) / after
+    flat = np.concatenate(polynomials)
+    product = flat[lines.factors[0]]
+    for others in lines.factors[1:]:
+        product = product * flat[others]
+    return product
+
+
+def _germ(lines: Lines, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:
+    if np.all(lines.is_normal > 0):
+        return normal
+    place = (normal + LAST) * (TABLED / (2 * LAST))
+    clipped = np.clip(place.real, 0.0, float(TABLED))
+    cell = np.minimum(clipped.astype(int), TABLED - 1)
+    cubic = np.asarray(lines.table)[np.arange(len(cell))[:, None], cell]
+    inside = clipped - cell + (place - place.real)
+    return np.where(lines.is_normal > 0, normal, horner(np.moveaxis(cubic, -1, 0), inside[None])[0])
+
+
+def _minima(coefficients: Float[np.ndarray, " terms"], lines: Lines) -> Float[np.ndarray, "variables minima"]:
+    """As `Lines.minima`."""
+    left, chosen = coefficients @ lines.at_starts, []
+    for _ in range(MINIMA):
+        chosen.append(lines.starts[:, np.argmin(left)])
+        left = np.where(chosen[-1] @ lines.starts > APART, np.inf, left)
+    minima, values = np.stack(chosen, axis=1), np.zeros(MINIMA)
+    variables = len(minima)
+    steps = 1j * _IMAGINARY * np.eye(variables)[..., None]
+    for _ in range(DESCENTS):
+        moved = (SEARCHED * (minima[:, None] + steps)).reshape(variables, -1)
+        heights = (coefficients @ _terms(lines, moved)).reshape(variables, MINIMA)
+        minima, values = unit(minima - unit(np.imag(heights) / _IMAGINARY)), np.real(heights[0])
+    return minima[:, np.argsort(values, kind="stable")]
+
+
+def _blocks(count: int) -> list[slice]:
+    return [slice(first, first + _TOGETHER) for first in range(0, count, _TOGETHER)]
+
+
+def _root_within(
+    powers: Float[np.ndarray, "4 n"],
+    low: Float[np.ndarray, " n"],
+    high: Float[np.ndarray, " n"],
+    rising: Bool[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """As `root_within`."""
+    low, high, rising = low[None], high[None], rising[None]
+    x = (low + high) / 2
+    for _ in range(MOST_ITERATIONS):
+        low, high, closer = closer_to_root(powers, low, high, rising, x)
+        moved, x = np.abs(closer - x).max(initial=0.0), closer
+        if not moved > AT_REST:
+            break
+    return x[0]
+
+
+def _gauss(
+    start: Float[np.ndarray, "*parts"],
+    length: Float[np.ndarray, "*parts"],
+    first: Float[np.ndarray, "*cells"],
+    step: float,
+) -> Float[np.ndarray, "4 *parts"]:
+    """The integrals of the powers of the place over parts of cells, by Gauss's rule; the first is the probability."""
+    total = np.zeros((4, *start.shape))
+    for node, weight in zip(NODES, WEIGHTS, strict=True):
+        place = start + node * length
+        density = weight * length * step * density_of(first + place * step)
+        total += density * place ** np.arange(4).reshape(-1, *[1] * place.ndim)
+    return total
+
+
+def _by_values(by_cubics: Float[np.ndarray, "4 lines cells"]) -> Float[np.ndarray, "lines nodes"]:
+    """Derivatives by the values at nodes from those by the cubics through them: the transpose of `cubics_through`."""
+    constant, linear, square, cube = by_cubics
+    rise, first, last = 3 * square - 2 * cube, linear - 2 * square + cube, cube - square
+    lines, cells = constant.shape
+    values, slopes = np.zeros((lines, cells + 5)), np.zeros((lines, cells + 1))
+    values[:, 2:-3] += constant - rise
+    values[:, 3:-2] += rise
+    slopes[:, :-1] += first
+    slopes[:, 1:] += last
+    for shift, factor in ((3, 8), (1, -8), (4, -1), (0, 1)):
+        values[:, shift : shift + cells + 1] += factor / 12 * slopes
+    return values
