@@ -14,13 +14,10 @@ from jaxtyping import Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import quietly
+from aleator.statistics._known_lines import blocks, minima_of, terms_at, values_at
 from aleator.statistics._lines import (
-    APART,
     CENTRE,
-    DESCENTS,
     LAST,
-    MINIMA,
-    SEARCHED,
     STILL,
     TABLED,
     AnyLines,
@@ -46,14 +43,10 @@ from aleator.statistics._lower_tails import (
     closer_to_root,
     density_of,
     error_of,
-    monotone_parts,
+    extremum_within,
     with_slope,
 )
 
-# Points are evaluated for so many at once, for the cache.
-_TOGETHER = 2**11
-# The step of derivatives by imaginary parts, which lose no digits.
-_IMAGINARY = 1e-30
 # The width of a cell of the tables of germ variables, in standard deviations.
 _CELL = 2 * LAST / TABLED
 
@@ -77,7 +70,7 @@ class _Cut(NamedTuple):
     density: float
     doubt: float = 0.0
     elements: tuple["_Cut", ...] = ()
-    inside: Bool[np.ndarray, "2 lines cells"] = np.zeros((2, 0, 0), bool)
+    inside: Bool[np.ndarray, " parts"] = np.zeros(0, bool)
     fractions: Float[np.ndarray, " lines"] = np.zeros(0)
     line: Int[np.ndarray, " crossings"] = np.zeros(0, int)
     cell: Int[np.ndarray, " crossings"] = np.zeros(0, int)
@@ -137,40 +130,59 @@ class _AbstractKnownTail(abc.ABC):
 
 @final
 class _KnownTailByLines(_AbstractKnownTail):
-    """As `TailByLines`."""
+    """As `TailByLines`.
+
+    - `line`, `cell`, `left`, `right`: of the parts of cells in which the output rises or falls: all cells up to an
+      extremum, or as a whole, and then what follows extrema; `value_left`, `value_right`: its values at their ends;
+    - `masses`: the probability of each on its line.
+    """
 
     def __init__(self, signed: Float[np.ndarray, " terms"], lines: Lines):
         self.signed, self.lines, self.std = signed, lines, float(np.sqrt(np.sum(signed**2)))
-        minima = unit(np.round(_minima(signed, lines) / STILL) * STILL)
+        minima = unit(np.round(minima_of(lines, signed) / STILL) * STILL)
         self.direction = minima[:, 0]
         self.points, weights = placed(lines.normals, self.direction, CENTRE * minima)
         self.share = weights.ravel() / len(weights)
         places = lines.first_of(np.arange(-2, lines.cells + 3))
         self.nodes = (self.points[..., None] + self.direction[:, None, None] * places).reshape(len(self.points), -1)
-        values = np.concatenate([signed @ _terms(lines, self.nodes[:, some]) for some in _blocks(self.nodes.shape[1])])
-        self.cubics = cubics_through(values.reshape(-1, len(places)))
-        self.ends = monotone_parts(self.cubics)
-        self.heights = horner(self.cubics, self.ends)
-        self.masses = -np.diff(beyond(lines.first_of(np.arange(lines.cells)) + self.ends * lines.step), axis=0)
+        every = blocks(self.nodes.shape[1])
+        values = np.concatenate([values_at(lines, signed, self.nodes[:, some]) for some in every])
+        values = values.reshape(-1, len(places))
+        self.cubics = cubics_through(values)
+        _, slope, bend, rest = self.cubics
+        line, cell = np.nonzero(slope * (slope + 2 * bend + 3 * rest) < 0)
+        turned = self.cubics[:, line, cell]
+        middle, heights = extremum_within(*turned[1:]), values[:, 2:-2]
+        count, at = len(heights), line * lines.cells + cell
+        every, height = np.arange(count * lines.cells), horner(turned, middle[None])[0]
+        self.line, self.cell = np.append(every // lines.cells, line), np.append(every % lines.cells, cell)
+        self.left, self.right = np.append(np.zeros(len(every)), middle), np.ones(len(every) + len(line))
+        self.value_left = np.append(heights[:, :-1], height)
+        self.value_right = np.append(heights[:, 1:], heights[line, cell + 1])
+        self.right[at], self.value_right[at] = middle, height
+        ends = beyond(lines.first_of(np.arange(lines.cells + 1)))
+        inner = beyond(lines.first_of(cell) + middle * lines.step)
+        self.masses = np.append(np.tile(ends[:-1] - ends[1:], count), inner - ends[cell + 1])
+        self.masses[at] = ends[cell] - inner
 
     @override
     @quietly
     def cut(self, threshold: float) -> _Cut:
-        is_below = self.heights < threshold
-        low, high = is_below[:-1], is_below[1:]
-        part, line, cell = np.nonzero(low != high)
-        left, right, is_falling = self.ends[part, line, cell], self.ends[part + 1, line, cell], high[part, line, cell]
+        low, high = self.value_left < threshold, self.value_right < threshold
+        parts = np.flatnonzero(low != high)
+        line, cell, left, right = (each[parts] for each in (self.line, self.cell, self.left, self.right))
+        is_falling = high[parts]
         cubic = self.cubics[:, line, cell]
         cubic[0] -= threshold
         place = _root_within(cubic, left, right, ~is_falling)
         start, end = np.where(is_falling, place, left), np.where(is_falling, right, place)
         step, first = self.lines.step, self.lines.first_of(cell)
         along, inside = first + place * step, low & high
-        parts = beyond(first + start * step) - beyond(first + end * step)
-        whole = np.einsum("plc,plc->l", self.masses, inside)
+        crossed = beyond(first + start * step) - beyond(first + end * step)
         slope = np.abs(with_slope(cubic, place[None])[1][0]) / step
         densities = np.where(slope > 0, density_of(along) / slope, 0.0)
-        fractions = whole + np.bincount(line, parts, len(whole))
+        count = len(self.share)
+        fractions = np.bincount(self.line, self.masses * inside, count) + np.bincount(line, crossed, count)
         below, density = self.share @ fractions, self.share[line] @ densities
         doubt = float(self.share[line] @ (self._is_steep(line, along) * density_of(along))) * (step + _CELL)
         where = inside, fractions, line, cell, along, densities, start, end - start
@@ -193,8 +205,8 @@ class _KnownTailByLines(_AbstractKnownTail):
             self.share[at.line] * at.densities,
         )
         value, slopes = at.below, np.zeros(len(self.signed))
-        for some in _blocks(len(rates)):
-            terms, rate = _terms(self.lines, crossings[:, some]), rates[some]
+        for some in blocks(len(rates)):
+            terms, rate = terms_at(self.lines, crossings[:, some]), rates[some]
             off = self.signed @ terms - threshold
             # What the output itself is off at the crossings of its cubics, unless it hardly rises there.
             is_near = np.abs(off * at.densities[some]) < density_of(at.along[some]) * self.lines.step
@@ -203,15 +215,16 @@ class _KnownTailByLines(_AbstractKnownTail):
 
     @override
     def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
-        step, cells = self.lines.step, self.lines.first_of(np.arange(self.lines.cells))
-        lengths = np.where(at.inside, self.ends[1:] - self.ends[:-1], 0.0)
-        powers = _gauss(self.ends[0], lengths[0], cells, step) + _gauss(self.ends[1], lengths[1], cells, step)
-        parts = _gauss(at.start, at.length, self.lines.first_of(at.cell), step)
-        for power, part in zip(powers, parts, strict=True):
-            np.add.at(power, (at.line, at.cell), part)
+        parts = np.flatnonzero(at.inside)
+        line, cell = np.append(self.line[parts], at.line), np.append(self.cell[parts], at.cell)
+        start, length = np.append(self.left[parts], at.start), self.right[parts] - self.left[parts]
+        every = _gauss(start, np.append(length, at.length), self.lines.first_of(cell), self.lines.step)
+        shape = self.cubics.shape
+        places, size = line * self.lines.cells + cell, shape[1] * shape[2]
+        powers = np.stack([np.bincount(places, each, size) for each in every]).reshape(shape)
         powers = self.share[:, None] * powers
         by_node = -_by_values(powers).ravel()
-        each = [_terms(self.lines, self.nodes[:, some]) @ by_node[some] for some in _blocks(len(by_node))]
+        each = [terms_at(self.lines, self.nodes[:, some]) @ by_node[some] for some in blocks(len(by_node))]
         return float(threshold * np.sum(powers[0]) - np.sum(powers * self.cubics)), np.sum(each, axis=0)
 
     @override
@@ -338,51 +351,6 @@ class KnownDistribution:
         slope = abs(factor * below - quantile) / (level if lower else 1 - level)
         value = float(self.coefficients[0]) + sign * factor * below
         return Known(value, tail.error(at) * slope, self._slopes(1.0, factor * slopes))
-
-
-def _terms(lines: Lines, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "terms n"]:
-    """The terms of a basis at points of the normal variables, which may have imaginary parts."""
-    germ = _germ(lines, normal)
-    polynomials, previous, current = [], np.zeros(germ.shape), np.ones(germ.shape)
-    for a, b, after in lines.recurrence[..., None]:
-        polynomials.append(current)
-        previous, current = current, ((germ - a) * current - b * previous) / after
-    flat = np.concatenate(polynomials)
-    product = flat[lines.factors[0]]
-    for others in lines.factors[1:]:
-        product = product * flat[others]
-    return product
-
-
-def _germ(lines: Lines, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:
-    if np.all(lines.is_normal > 0):
-        return normal
-    place = (normal + LAST) * (TABLED / (2 * LAST))
-    clipped = np.clip(place.real, 0.0, float(TABLED))
-    cell = np.minimum(clipped.astype(int), TABLED - 1)
-    cubic = np.asarray(lines.table)[np.arange(len(cell))[:, None], cell]
-    inside = clipped - cell + (place - place.real)
-    return np.where(lines.is_normal > 0, normal, horner(np.moveaxis(cubic, -1, 0), inside[None])[0])
-
-
-def _minima(coefficients: Float[np.ndarray, " terms"], lines: Lines) -> Float[np.ndarray, "variables minima"]:
-    """As `Lines.minima`."""
-    left, chosen = coefficients @ lines.at_starts, []
-    for _ in range(MINIMA):
-        chosen.append(lines.starts[:, np.argmin(left)])
-        left = np.where(chosen[-1] @ lines.starts > APART, np.inf, left)
-    minima, values = np.stack(chosen, axis=1), np.zeros(MINIMA)
-    variables = len(minima)
-    steps = 1j * _IMAGINARY * np.eye(variables)[..., None]
-    for _ in range(DESCENTS):
-        moved = (SEARCHED * (minima[:, None] + steps)).reshape(variables, -1)
-        heights = (coefficients @ _terms(lines, moved)).reshape(variables, MINIMA)
-        minima, values = unit(minima - unit(np.imag(heights) / _IMAGINARY)), np.real(heights[0])
-    return minima[:, np.argsort(values, kind="stable")]
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(first, first + _TOGETHER) for first in range(0, count, _TOGETHER)]
 
 
 def _root_within(

@@ -170,7 +170,10 @@ class TailByLines(AbstractLowerTail):
         """That of an output with mean zero."""
         values = lines.along(signed)
         fixed = jax.lax.stop_gradient(values.cubics)
-        ends = monotone_parts(fixed)
+        _, slope, bend, rest = fixed
+        turns = slope * (slope + 2 * bend + 3 * rest) < 0
+        middle = jnp.where(turns, extremum_within(slope, bend, rest), 1.0)
+        ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
         along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
         masses = -jnp.diff(beyond(along), axis=0)
         return cls(root(jnp.sum(signed**2)), signed, values, ends, horner(fixed, ends), masses, lines)
@@ -257,17 +260,13 @@ def bracket_of(level: Scalar, std: Scalar) -> tuple[Any, Any]:
 
 
 @quietly
-def monotone_parts(cubics: Float[Any, "4 lines cells"]) -> Float[Any, "3 lines cells"]:
-    """Places in each cell between which its cubic rises or falls: the ends, and an extremum if there is one."""
-    library, cubics = in_library(cubics)
-    _, slope, bend, rest = cubics
-    # A cubic between ends with slopes of different signs has one extremum there.
-    turns = slope * (slope + 2 * bend + 3 * rest) < 0
+def extremum_within(slope: Float[Any, "*n"], bend: Float[Any, "*n"], rest: Float[Any, "*n"]) -> Float[Any, "*n"]:
+    """Where a cubic whose slopes at 0 and 1 have different signs has its extremum, by its higher powers."""
+    library, slope, bend, rest = in_library(slope, bend, rest)
     radicand = library.sqrt(library.maximum(bend**2 - 3 * rest * slope, 0.0))
     larger = -(bend + library.where(bend < 0, -1.0, 1.0) * radicand)
     near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
-    middle = library.where(turns, library.clip(library.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
-    return library.stack([0 * middle, middle, 1 + 0 * middle])
+    return library.clip(library.where((near > 0) & (near < 1), near, far), 0.0, 1.0)
 
 
 def _shortfall(
