@@ -247,8 +247,15 @@ def is_private(status: os.stat_result) -> bool:
 
 
 def is_kept(name: str | None) -> bool:
-    """Whether an earlier run has kept a program of this name."""
+    """Whether a program of this name, or the name alone, has been kept."""
     return name is not None and (path := _path(name)) is not None and path.exists()
+
+
+def mark(name: str) -> None:
+    """Keep a name alone, for `is_kept` in later runs; what cannot be written is skipped silently."""
+    if (path := _path(name)) is not None:
+        with contextlib.suppress(OSError):
+            path.touch(mode=0o600)
 
 
 def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
