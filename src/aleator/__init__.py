@@ -17,7 +17,7 @@ _started = _now()
 
 # Configures JAX, before a script makes its first array.
 from aleator import _core  # noqa: E402
-from aleator._core.programs import uncollected as _uncollected  # noqa: E402
+from aleator._core import uncollected as _uncollected  # noqa: E402
 
 _load, _, _names = _lazy.attach_stub(__name__, __file__)
 

@@ -78,6 +78,14 @@ def in_library(*trees: Pytree) -> tuple[Any, ...]:
     return np, *(jax.tree.map(np.asarray, tree) for tree in trees)
 
 
+def alike(result: Any, *causes: Pytree) -> Any:
+    """A result as an array of JAX if it or what it follows from is one, else of NumPy: a transfer takes as long as a
+    statistic of a history.
+    """
+    is_of_jax = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves((result, causes)))
+    return jax_array(result) if is_of_jax else np.asarray(result)
+
+
 def is_number(leaf: Any) -> bool:
     """Whether `leaf` is a real number or an array of them: a Python float, or a floating NumPy or JAX array."""
     return isinstance(leaf, float) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.floating)

@@ -20,6 +20,7 @@ from jax.interpreters import batching, mlir
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool
 
+from aleator._core import programs
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError
 
@@ -64,14 +65,22 @@ _STEADY: set[Digest] = set()
 
 
 def refuse_unsteady(name: str, digest: Digest, again: Callable[[], Digest]) -> None:
-    """Raise `ProblemError` if a second trace of a user's code called `name` has another digest than the first."""
-    if digest not in _STEADY and again() != digest:
+    """Raise `ProblemError` if a second trace of a user's code called `name` has another digest than the first.
+
+    The second may be that of an earlier run: code that computes something else each time does so in each run.
+    """
+    mark = f"steady_{digest.text}" if digest.is_whole else None
+    if digest in _STEADY or programs.is_kept(mark):
+        return
+    if again() != digest:
         raise ProblemError(
             f"{name} computes something else each time it is called, so that no result holds. Expected code that "
             "depends on its arguments and fields alone: put a distribution, such as al.Normal(0.0, 1.0), in the place "
             "of a random number; read files, clocks and counters beforehand."
         )
     _STEADY.add(digest)
+    if mark is not None:
+        programs.mark(mark)
 
 
 def array_digest(array: Any) -> str:

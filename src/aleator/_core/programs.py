@@ -2,7 +2,8 @@
 
 Later runs need not trace, lower or compile them again. They are in the user's own folder, in a part for each kind of
 machine, because they are machine code, under lasting names (`identity`): JAX's persistent compilation cache finds
-programs by their lowered text, and tracing and lowering take longer than all the rest.
+programs by their lowered text, and tracing and lowering take longer than all the rest. Beside them are the digests of
+equations that two traces have given, as names of empty files: see `mark`.
 
 Reading a file runs what it holds: machine code, and a pickle, because JAX has no other form of an executable. So only
 files are opened that belong to this user, that nobody else can write to, and whose digest is that of their name and
@@ -22,7 +23,7 @@ import sys
 import threading
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -33,6 +34,7 @@ import jax.numpy as jnp
 import platformdirs
 from jax.experimental import serialize_executable
 
+from aleator._core import uncollected
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.parallel import undisturbed
@@ -48,20 +50,6 @@ _MOST_OF_ONE = 1000
 # Linux limits the mappings of each process, and compiled code takes hundreds: beyond, LLVM gets no memory and ends the
 # process without a message.
 _OWN, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-
-
-@contextlib.contextmanager
-def uncollected() -> Iterator[None]:
-    """While modules are loaded and equations traced, which are all needed: the collector looks through them again and
-    again, for a tenth of a first answer's time.
-    """
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 @final
@@ -247,8 +235,15 @@ def is_private(status: os.stat_result) -> bool:
 
 
 def is_kept(name: str | None) -> bool:
-    """Whether an earlier run has kept a program of this name."""
+    """Whether a program of this name, or the name alone, has been kept."""
     return name is not None and (path := _path(name)) is not None and path.exists()
+
+
+def mark(name: str) -> None:
+    """Keep a name alone, for `is_kept` in later runs; what cannot be written is skipped silently."""
+    if (path := _path(name)) is not None:
+        with contextlib.suppress(OSError):
+            path.touch(mode=0o600)
 
 
 def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:

@@ -200,9 +200,10 @@ def _check_values(problem: AbstractProblem) -> None:
 
 def _check_germs(problem: AbstractProblem) -> None:
     """Refuse Sobol indices of unknown germ variables, and of those in a correlated group."""
-    known = list(problem.placements.germ_names)
+    places = problem.placements
+    known = list(places.germ_names)
     for one in statistics_in(problem.expressions):
-        refuse_correlated(problem.placements.distributions, one.kind)
+        refuse_correlated(places.distributions, one.kind)
         for name in one.kind.variables if isinstance(one.kind, Sobol) else ():
             if name not in known:
                 raise ProblemError(unknown("germ variable", name, known))

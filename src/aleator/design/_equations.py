@@ -190,6 +190,7 @@ class _ShapeScope(AbstractScope):
 
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
         self._problem, self._outputs = problem, outputs
+        self._first = {name: one[0] for name, one in outputs.items()}
         self._grid = realise(at_means(problem.simulation), jnp.zeros(0), jnp.zeros(problem.placements.size)).grid
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
@@ -201,12 +202,10 @@ class _ShapeScope(AbstractScope):
     def realised(self, functional: AbstractFunctional) -> jax.Array:
         integrals: dict[AbstractFunctional, jax.Array] = {}
         if isinstance(functional, AbstractIntegral):
-            now = {name: one[0] for name, one in self._outputs.items()}
             integrals[functional] = traceable(
-                f"{type(functional).__name__}.integrand", called(functional, functional.integrand, now)
+                f"{type(functional).__name__}.integrand", called(functional, functional.integrand, self._first)
             )
-        first = {name: one[0] for name, one in self._outputs.items()}
-        events = {name: Occurrence(jnp.ones(()), first) for name in events_of([functional])}
+        events = {name: Occurrence(jnp.ones(()), self._first) for name in events_of([functional])}
         taken = Taken(self._outputs, integrals, events, jnp.ones((1, 1)))
         who = f"{type(functional).__name__}.evaluate"
         value = traceable(who, called(functional, functional.evaluate, taken, self._grid.of(functional.place)))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar, in_library, jax_array, quietly
+from aleator._core.arrays import Scalar, alike, in_library, quietly
 from aleator._core.border import a_name, real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
@@ -43,11 +43,11 @@ class Expression(Module):
     constant: Scalar = 0.0
 
     @quietly
-    def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
+    def evaluate(self, scope: AbstractScope) -> Float[Any, "..."]:
         """The value in a scope: a number, or one number per instant if it contains a `path`."""
         values = [atom.evaluate(scope) for atom in self.atoms]
-        _, factors, values, constant = in_library(self.factors, values, self.constant)
-        return jax_array(sum((factor * value for factor, value in zip(factors, values, strict=True)), start=constant))
+        _, factors, known, constant = in_library(self.factors, values, self.constant)
+        return alike(sum((one * value for one, value in zip(factors, known, strict=True)), start=constant), values)
 
     def unit(self, units: Units) -> str:
         """The common unit of its terms; empty where they differ or one is unknown."""
@@ -176,8 +176,8 @@ class Composed(AbstractComposite):
     @override
     @quietly
     def evaluate(self, scope: AbstractScope) -> Array:
-        _, *values = in_library(*(one.evaluate(scope) for one in self.expressions))
-        return jax_array(self.rule.of(*values))
+        values = [one.evaluate(scope) for one in self.expressions]
+        return alike(self.rule.of(*in_library(*values)[1:]), values)
 
     @override
     def text(self) -> str:

@@ -20,7 +20,7 @@ class AbstractScope(abc.ABC):
     """The source of the numbers in an expression: an expansion, one system, a sample."""
 
     @abc.abstractmethod
-    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
+    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Any, "..."]:
         """A statistic of a functional, or of several jointly (a covariance)."""
 
     def realised(self, functional: Any) -> Float[Array, "..."]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.arrays import in_library, jax_array, quietly
+from aleator._core.arrays import alike, in_library, jax_array, quietly
 from aleator._core.leaves import Module
 
 LEAST_REMAINDER = 1e-8
@@ -44,10 +44,10 @@ class Collocation(Module):
     condition_number: Float[Array, ""]
 
     @quietly
-    def coefficients(self, samples: Float[Any, "points *shape"]) -> Float[Array, "terms *shape"]:
+    def coefficients(self, samples: Float[Any, "points *shape"]) -> Float[Any, "terms *shape"]:
         """Coefficients `rho = A# P` of samples of any shape, such as time histories (equations 29 and 47)."""
         library, inverse, known = in_library(self.pseudo_inverse, samples)
-        return jax_array(library.tensordot(inverse, known, axes=1))
+        return alike(library.tensordot(inverse, known, axes=1), samples)
 
 
 def leave_one_out(
@@ -128,7 +128,7 @@ def fresh_error(
 
 @quietly
 def mean_squares(
-    collocation: Collocation, samples: Float[Array, "points *shape"], coefficients: Float[Array, "terms *shape"]
+    collocation: Collocation, samples: Float[Any, "points *shape"], coefficients: Float[Any, "terms *shape"]
 ) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
     """For each entry: the mean square of the leave-one-out residuals, the variance, and the mean square."""
     library, collocation, samples, coefficients = in_library(collocation, samples, coefficients)

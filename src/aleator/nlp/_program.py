@@ -4,6 +4,7 @@ A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy loads a m
 few variables never need the sparse one.
 """
 
+import contextlib
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -166,6 +167,10 @@ class NonlinearProgram:
 # Steps of a bounded fit of sparse columns, each of as many products at most; and numbers multiplied in all, about a
 # second of them.
 _LEAST_STEPS, _MOST_STEPS, _MOST_WORK = 5, 100, 4e8
+# As many dense rows are fitted before SciPy's function, which takes half a second to load, would have been.
+_FEW_ROWS = 100
+# Of sums of products, as a part of the sum of their magnitudes.
+_ROUNDING = 4 * np.finfo(float).eps
 
 
 def entries(matrix: Matrix) -> np.ndarray:
@@ -218,6 +223,8 @@ def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
 
     For sparse rows the search is cut short.
     """
+    if isinstance(rows, np.ndarray) and len(rows) <= _FEW_ROWS:
+        return _fit_of_few(rows, target)
     if isinstance(rows, np.ndarray):
         try:
             return scipy.optimize.nnls(rows.T, target)[0]
@@ -227,6 +234,47 @@ def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
     steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(rows.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
     short = {"method": "trf", "max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
     return scipy.optimize.lsq_linear(rows.T.tocsr(), target, (0.0, np.inf), **short).x
+
+
+def _fit_of_few(rows: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """See `nonnegative_fit`: by Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23.
+
+    One row after the other is taken, that along which the remainder falls most. It is refused if the remainder does not
+    become smaller, so that the search ends.
+    """
+    sizes, weights = np.abs(rows), np.zeros(len(rows))
+    taken = refused = np.zeros(len(rows), dtype=bool)
+    while True:
+        left, rounding = target - weights @ rows, _ROUNDING * sizes @ (np.abs(target) + weights @ sizes)
+        descent = np.where(taken | refused, 0.0, rows @ left - rounding)
+        if descent.max(initial=0.0) <= 0.0:
+            return weights
+        further = np.arange(len(rows)) == descent.argmax()
+        among, trial = taken | further, weights
+        while True:
+            fit = _least_squares(rows, among, target)
+            if not (falling := among & (fit < 0.0)).any():
+                break
+            # So far no weight becomes negative. Rows whose weight becomes zero are dropped.
+            ways = np.divide(trial, trial - fit, out=np.full(len(rows), np.inf), where=falling)
+            trial = np.maximum(trial + ways.min() * (fit - trial), 0.0)
+            among = among & (ways > ways.min())
+        if np.linalg.norm(target - fit @ rows) < np.linalg.norm(left):
+            weights, taken, refused = fit, among, np.zeros(len(rows), dtype=bool)
+        else:
+            refused = refused | further
+
+
+def _least_squares(rows: np.ndarray, among: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Weights of some rows, zero for others, whose sum is closest to a target: by the normal equations, corrected once;
+    zeros if rows depend on one another.
+    """
+    weights, some = np.zeros(len(rows)), rows[among]
+    with contextlib.suppress(np.linalg.LinAlgError):
+        inverse = np.linalg.inv(some @ some.T)
+        for _ in range(2):
+            weights[among] += inverse @ (some @ (target - weights @ rows))
+    return weights
 
 
 @final

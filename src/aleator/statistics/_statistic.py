@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
+from aleator._core.arrays import Pytree, Scalar, alike, in_library, jax_array, quietly
 from aleator._core.border import real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_traced
@@ -126,8 +126,8 @@ class Mean(AbstractStatistic):
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
-        _, coefficients = in_library(coefficients)
-        return jax_array(coefficients[0])
+        _, terms = in_library(coefficients)
+        return alike(terms[0], coefficients)
 
     @override
     @quietly
@@ -152,10 +152,10 @@ class Variance(AbstractStatistic):
     @quietly
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
-        library, coefficients = in_library(coefficients)
+        library, terms = in_library(coefficients)
         if self.noisy:
-            return coefficients[0, ..., 1] + Variance().of(coefficients[..., 0], ())
-        return jax_array(library.sum(coefficients[1:] ** 2, axis=0))
+            return terms[0, ..., 1] + Variance().of(terms[..., 0], ())
+        return alike(library.sum(terms[1:] ** 2, axis=0), coefficients)
 
     @override
     @quietly
@@ -188,8 +188,8 @@ class Std(AbstractStatistic):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        library, coefficients = in_library(coefficients)
-        mean = coefficients[0, ..., 0] if self.noisy else coefficients[0]
+        library, terms = in_library(coefficients)
+        mean = terms[0, ..., 0] if self.noisy else terms[0]
         mean = mean if library is np else jax.lax.stop_gradient(mean)
         return root(Variance(self.noisy).of(coefficients, constants), ROUNDING * abs(mean))
 
@@ -218,10 +218,10 @@ def root(square: Float[Array, "*shape"], rounding: Any = None) -> Float[Array, "
     - `rounding`: a root below this is zero too, if it is given.
     """
     # Compared such that what is not finite stays so.
-    library, square = in_library(square)
-    none = square <= 0
-    size = library.sqrt(library.where(none, 1.0, square))
-    return jax_array(library.where(none if rounding is None else none | (size < rounding), 0.0, size))
+    library, known = in_library(square)
+    none = known <= 0
+    size = library.sqrt(library.where(none, 1.0, known))
+    return alike(library.where(none if rounding is None else none | (size < rounding), 0.0, size), square)
 
 
 @final

@@ -60,14 +60,14 @@ class ExpansionScope(AbstractScope):
     Of known coefficients NumPy takes what it can, and each other statistic is a program by itself.
     """
 
-    coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]]
+    coefficients: Mapping[AbstractFunctional, Float[Any, "terms ..."]]
     constants: Constants
     numbers: Callable[[], Mapping[str, Any]]
     between: "Between | None" = None
     scenarios: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = field(default_factory=dict)
     totals: Iterator[Float[Array, ""]] | None = None
-    known: "dict[_Which, Float[Array, '...']]" = field(default_factory=dict)
-    taken: list[Float[Array, "..."]] = field(default_factory=list, init=False)
+    known: "dict[_Which, Float[Any, '...']]" = field(default_factory=dict)
+    taken: list[Float[Any, "..."]] = field(default_factory=list, init=False)
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
@@ -104,10 +104,10 @@ class ExpansionScope(AbstractScope):
 
     @override
     @quietly
-    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
+    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Any, "..."]:
         terms, key = self._terms(functionals), (functionals, id(kind))
         if key not in self.known:
-            self.known[key] = jax_array(_taken(kind, terms, self.constants.of(kind)))
+            self.known[key] = _taken(kind, terms, self.constants.of(kind))
         result = self.known[key]
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
@@ -171,7 +171,7 @@ class Between(NamedTuple):
     - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there.
     """
 
-    coefficients: Mapping[AbstractFunctional, Float[Array, "terms nodes ..."]]
+    coefficients: Mapping[AbstractFunctional, Float[Any, "terms nodes ..."]]
     weights: Float[Array, " nodes"]
 
 
@@ -288,7 +288,7 @@ def resolved(
 
     `tangents`: derivatives (see `seen`) times the magnitudes of the decisions, in the functional's unit.
     """
-    known = jax_array(samples)
+    known = np.asarray(samples)
     terms = collocation.coefficients(known)
     squares = mean_squares(collocation, known, terms)
     _, *at_seen = (seen(part.reshape(1, *samples.shape[1:]), functional.is_path).sum() for part in squares)
@@ -311,7 +311,7 @@ def _errors_of(
 
     - `spread`, `size`: the variance and the mean square of the output at the same instants, in all.
     """
-    each = (mean_squares(collocation, one, collocation.coefficients(one)) for one in map(jax_array, tangents))
+    each = (mean_squares(collocation, one, collocation.coefficients(one)) for one in map(np.asarray, tangents))
     error, variance, square = np.array([[part.sum() for part in squares] for squares in each]).T
     least = np.maximum(spread, (ROUNDING / _INTEGRATED) ** 2 * size)
     return np.asarray(relative_error(error, variance, np.maximum(square, least), rounding=_INTEGRATED))
