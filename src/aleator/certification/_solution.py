@@ -15,6 +15,7 @@ from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWa
 from aleator.certification._check import Check, certain
 from aleator.certification._grids import at_half_width
 from aleator.certification._limits import indistinct_limit
+from aleator.certification._moving_jumps import unfollowed_jumps
 from aleator.certification._second_opinion import second_opinion
 from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
 from aleator.ensemble import inputs_at
@@ -173,8 +174,9 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
         solution.certificate,
         opinion=None if held.check is None else second_opinion(held.check),
         smoothing=None if held.check is None else at_half_width(held.check),
+        lost=unfollowed_jumps(held.transcribed, held.outcome.point, solution.multipliers)
         # A search has compared values.
-        lost="" if solution.effort.searched else _lost_derivatives(held, solution.multipliers),
+        or ("" if solution.effort.searched else _lost_derivatives(held, solution.multipliers)),
         indistinct=indistinct_limit(held.transcribed, held.outcome.point, held.check),
         untrusted=_untrusted(solution),
         correlations=_moved_correlations(solution.problem, solution.vector),
