@@ -6,6 +6,8 @@ import pytest
 from scipy import optimize, stats
 
 import aleator as al
+from bouncing import Ball
+from zoo import G
 
 
 class Turning(al.System):
@@ -152,3 +154,62 @@ def test_a_limit_on_a_path_that_is_certain_at_its_start_is_confirmed():
         expansion=al.Expansion(6),
     )
     assert float(al.solve(problem).decisions["gain"]) == pytest.approx(1.0, abs=1e-6)
+
+
+class Threshold(al.AlgebraicSystem):
+    """What is 1 above a threshold, and something that grows with it."""
+
+    load: al.Number
+    threshold: al.Number
+    width: float | None = None
+
+    def outputs(self):
+        above = self.load - self.threshold
+        jump = jnp.where(above > 0, 1.0, 0.0) if self.width is None else al.smooth.step(above, width=self.width)
+        return {"cost": jump + 0.2 * self.threshold, "bowl": jump + 5 * (self.threshold - 0.6) ** 2}
+
+
+def with_threshold(output, threshold, width=None):
+    return al.Problem(
+        Threshold(al.Uniform.bounds(0.0, 1.0), threshold, width),
+        minimize=al.output(output).mean,
+        expansion=al.MultiElement(2, error=1e-3),
+    )
+
+
+def test_a_jump_that_a_decision_moves_is_followed_where_it_is_smooth_and_refused_where_it_is_not():
+    """The mean cost of a load between 0 and 1 is `1 - 0.8 d`: by derivatives at fixed points it grows by `0.2 d`."""
+    low = al.Decision(0.5, 0.5, 0.9)
+    with pytest.raises(al.SolveError, match=r"derivatives leave out how a jump moves.*al\.smooth\.step"):
+        al.solve(with_threshold("cost", low))
+    smooth = al.solve(with_threshold("cost", low, 0.01))
+    assert (float(smooth.decisions["threshold"]), smooth.objective) == pytest.approx((0.9, 0.28), abs=1e-3)
+    # Inside its bounds `1 - d + 5 (d - 0.6)²` is least at 0.7, where derivatives at fixed points say 0.6.
+    with pytest.raises(al.SolveError, match="leave out how a jump moves"):
+        al.solve(with_threshold("bowl", al.Decision(0.0, 0.0, 1.0)))
+
+
+@pytest.mark.slow
+def test_values_find_the_optimum_beside_a_jump_that_moves():
+    search = al.solvers.NelderMead(polish=False)
+    found = al.solve(with_threshold("bowl", al.Decision(0.0, 0.0, 1.0)), search, throw=False)
+    assert (float(found.decisions["threshold"]), found.objective) == pytest.approx((0.7, 0.35), abs=2e-3)
+
+
+@pytest.mark.slow
+def test_the_price_of_a_limit_leaves_out_no_bounce():
+    """Of balls that bounce twice or thrice in 0.9 s: 11.2 by derivatives at fixed points, where 0.485 is right."""
+    problem = al.Problem(
+        Ball(al.Decision(0.7, 0.65, 0.75), al.Uniform.bounds(0.3, 0.5)),
+        grid=al.Grid(0.9, 40),
+        minimize=-al.terminal("v").mean,
+        subject_to=[al.value("e") <= 0.7],
+        expansion=al.MultiElement(3, error=1e-2),
+    )
+    with pytest.raises(al.SolveError, match="leave out how a jump moves") as raised:
+        al.solve(problem)
+    heights = np.linspace(0.3, 0.5, 20_001)
+    falls = np.sqrt(2 * heights / G)
+    twice, thrice = 1.7 * (1 + 0.7), 1.7 * (1 + 0.7 + 0.7**2)  # the jumps of the velocity so far
+    velocity = G * (falls * np.where(falls * (1 + 2 * 0.7 + 2 * 0.7**2) > 0.9, twice, thrice) - 0.9)
+    assert -raised.value.solution.objective == pytest.approx(velocity.mean(), abs=1e-3)

@@ -50,6 +50,40 @@ def test_the_period_of_van_der_pol_is_the_published_one_with_the_order_of_the_in
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
 
 
+class Sawtooth(al.System):
+    """It begins just behind its reset."""
+
+    states = ("x",)
+    rate: al.Number = 1.0
+    events: ClassVar = {
+        "top": al.Event(lambda self, t, z: z.x - 1.0, direction=1, jump=lambda self, t, z: {"x": 0.0 * z.x})
+    }
+
+    def rhs(self, t, z):
+        return (self.rate,)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_a_generous_latest_time_makes_no_two_cycles_of_one():
+    def period(model, event, at_most, steps):
+        grid = al.Grid(until=event, at_most=at_most, steps=steps, periodic=True)
+        return float(al.simulate(model, grid, only=["x"])["time"][-1])
+
+    assert period(VanDerPol(), "crest", 150.0, 3000) == pytest.approx(PERIOD, abs=1e-6)
+    assert period(Sawtooth(), "top", 30.0, 300) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("guess", [0.05, -0.05])
+def test_a_crossing_right_behind_the_start_ends_no_cycle(guess):
+    class Late(VanDerPol):
+        def initial(self):
+            return {"x": 2.0, "v": guess}
+
+    assert float(al.simulate(Late(), CREST, only=["x"])["time"][-1]) == pytest.approx(PERIOD, abs=1e-6)
+
+
 @pytest.mark.parametrize("order", cases([1, 2]))
 def test_derivatives_of_a_period_are_those_of_central_differences_to_second_order(order):
     def period(mu):

@@ -15,8 +15,18 @@ from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWa
 from aleator.certification._check import Check, certain
 from aleator.certification._grids import at_half_width
 from aleator.certification._limits import indistinct_limit
+from aleator.certification._moving_jumps import unfollowed_jumps
 from aleator.certification._second_opinion import second_opinion
-from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
+from aleator.design import (
+    Problem,
+    behind_end,
+    expanded_functionals,
+    first_broken,
+    instants_at,
+    path_of,
+    statistics_in,
+    unsolved,
+)
 from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, PiecewiseBasis, unseen
 from aleator.nlp import HELD, Outcome, Status, missed_slope
@@ -173,8 +183,10 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
         solution.certificate,
         opinion=None if held.check is None else second_opinion(held.check),
         smoothing=None if held.check is None else at_half_width(held.check),
+        lost=unfollowed_jumps(held.transcribed, held.outcome.point, solution.multipliers)
         # A search has compared values.
-        lost="" if solution.effort.searched else _lost_derivatives(held, solution.multipliers),
+        or ("" if solution.effort.searched else _lost_derivatives(held, solution.multipliers)),
+        extrapolated=behind_end(held.transcribed.problem, held.transcribed.points, solution.vector),
         indistinct=indistinct_limit(held.transcribed, held.outcome.point, held.check),
         untrusted=_untrusted(solution),
         correlations=_moved_correlations(solution.problem, solution.vector),

@@ -63,6 +63,7 @@ from aleator.design._response import Estimated as Estimated
 from aleator.design._response import OneSystem as OneSystem
 from aleator.design._response import Sampled as Sampled
 from aleator.design._response import asked_for as asked_for
+from aleator.design._response import behind_end as behind_end
 from aleator.design._response import divides_steps as divides_steps
 from aleator.design._response import ends_by_event as ends_by_event
 from aleator.design._response import estimated as estimated

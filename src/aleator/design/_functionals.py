@@ -235,19 +235,19 @@ class At(AbstractFunctional):
 
 def integral(output: str, phase: str | None = None) -> Integral:
     """The time integral of an output over the grid, or over a phase (see `Phases`), by default the last: `∫ y dt`."""
-    return _over(Integral((output,)), phase)
+    return over(Integral((output,)), phase)
 
 
 def rms(output: str, phase: str | None = None) -> Rms:
     """The root mean square of an output over the grid, or over a phase, by default the last."""
-    return _over(Rms((output,)), phase)
+    return over(Rms((output,)), phase)
 
 
 def initial(output: str, phase: str | None = None) -> Initial:
     """An output at the first instant, such as where the cycle of a grid with `periodic=True` begins; or at that of a
     phase, by default the last.
     """
-    return _over(Initial((output,)), phase)
+    return over(Initial((output,)), phase)
 
 
 def floquet_multiplier() -> FloquetMultiplier:
@@ -262,7 +262,7 @@ def floquet_multiplier() -> FloquetMultiplier:
 
 def terminal(output: str, phase: str | None = None) -> Terminal:
     """An output at the final time, or at the end of a phase, by default the last."""
-    return _over(Terminal((output,)), phase)
+    return over(Terminal((output,)), phase)
 
 
 def at(event: str, output: str | None = None, phase: str | None = None) -> At:
@@ -272,20 +272,21 @@ def at(event: str, output: str | None = None, phase: str | None = None) -> At:
 
     A realisation that never meets the event has no value: solving, expanding and validating then name its numbers.
     """
-    return _over(At(() if output is None else (output,), a_name("at: event", event)), phase)
+    return over(At(() if output is None else (output,), a_name("at: event", event)), phase)
 
 
 def path(output: str, phase: str | None = None) -> Path:
     """An output at every instant, or at those of a phase, by default the last: bounds on it hold at each."""
-    return _over(Path((output,)), phase)
+    return over(Path((output,)), phase)
 
 
 def peak(output: str, phase: str | None = None) -> Peak:
     """The largest magnitude of an output over time, or over a phase, by default the last."""
-    return _over(Peak((output,)), phase)
+    return over(Peak((output,)), phase)
 
 
-def _over(functional: Functional, phase: str | None) -> Functional:
+def over(functional: Functional, phase: str | None) -> Functional:
+    """A functional over a phase, or over the whole time, which is the last phase where there are some."""
     return functional if phase is None else functional.in_phase(a_name(f"'{functional.text()}': phase", phase))
 
 

@@ -13,7 +13,7 @@ from aleator._core.border import real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import lowest
 from aleator.design._expression import Expression, composed
-from aleator.design._functionals import INTEGRATED
+from aleator.design._functionals import INTEGRATED, over
 from aleator.design._rules import AbstractRule
 from aleator.design._statistic import AbstractFunctional, Taken
 from aleator.dynamics import AbstractGrid, Grid
@@ -22,8 +22,8 @@ from aleator.statistics import PURE, raised
 # An output between instants is a polynomial through so many of them: one order more accurate than the most accurate
 # integrator of fixed steps, so that data need not be at instants.
 _NEIGHBOURS = 6
-# What of the duration a measured time may lie outside of it by rounding.
-_ROUNDING = 1e-9
+ROUNDED = 1e-9
+"""What of the duration a measured time may lie outside of it by rounding."""
 
 
 @final
@@ -54,7 +54,7 @@ class Measured(AbstractFunctional):
         if not isinstance(grid, Grid) or last is None:
             return
         first = float(grid.t_start)
-        rounding = _ROUNDING * (last - first)
+        rounding = ROUNDED * (last - first)
         for i, time in enumerate(self.times):
             if not first - rounding <= time <= last + rounding:
                 raise ProblemError(
@@ -103,7 +103,7 @@ class SquaredResiduals(AbstractRule):
         return raised(units[0] or "", 2.0) if self.std is None else PURE
 
 
-def residuals(output: str, times: Any, data: Any, *, std: Any = None) -> Expression:
+def residuals(output: str, times: Any, data: Any, *, std: Any = None, phase: str | None = None) -> Expression:
     """The sum of squared residuals of an output at measured times: what a model that fits its data minimises.
 
         problem = al.Problem(model, grid=al.Grid(5.0, 100), minimize=al.residuals("x", times, data, std=0.01))
@@ -116,11 +116,13 @@ def residuals(output: str, times: Any, data: Any, *, std: Any = None) -> Express
     - `data`: what was measured, in the output's unit, shape (times,), or (times, *shape) of an output that is an array,
       as where several experiments are the entries of its states;
     - `std`: the standard deviation of the measurement, by which residuals are divided: one number, one for each time,
-      or one for each datum. Outputs of different units need it.
+      or one for each datum. Outputs of different units need it;
+    - `phase`: in which it was measured, by default the last; times are those of the phase.
 
     The numbers to be identified are the model's decisions; where it is uncertain too, its mean is compared. Raises
     `ProblemError` for lengths that differ, for numbers that are not finite, with their index and time, and, once it is
-    used in a problem, for times outside of the grid and an unknown output.
+    used in a problem, for times outside of the grid and an unknown output. Where an event ends the grid, an answer
+    whose motion ends before the last datum is no solution.
     """
     who = f"residuals of '{output}'"
     at, measured = (real_array(f"{who}: {name}", one) for name, one in (("times", times), ("data", data)))
@@ -138,4 +140,5 @@ def residuals(output: str, times: Any, data: Any, *, std: Any = None) -> Express
         if spread.shape not in ((), at.shape, measured.shape) or not (np.isfinite(spread) & (spread > 0)).all():
             raise refusal(f"{who}: std", "one positive number, one for each time, or one for each datum", std)
         spread = np.broadcast_to(spread.reshape(spread.shape + (1,) * (measured.ndim - spread.ndim)), measured.shape)
-    return composed(SquaredResiduals(measured, spread), Measured((output,), tuple(at.tolist())).mean)
+    functional = over(Measured((output,), tuple(at.tolist())), phase)
+    return composed(SquaredResiduals(measured, spread), functional.mean)

@@ -18,6 +18,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
 from aleator.design._functionals import AbstractIntegral, At, FloquetMultiplier, events_of
+from aleator.design._residuals import ROUNDED, Measured
 from aleator.design._scope import AbstractScopeOfInstants, Value
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken, functionals_of, numbers_of
 from aleator.dynamics import (
@@ -133,6 +134,44 @@ def instants_at(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) ->
     if ends_by_event(problem):
         return np.asarray(_INSTANTS(numbers_to_arrays(problem), jax_array(decisions)))
     return np.asarray(grid_at(problem, jax_array(decisions)).times)
+
+
+def _ends(
+    problem: AbstractProblem,
+    places: tuple[str, ...],
+    germ: Float[Array, "points variables"],
+    decisions: Float[Array, " n"],
+) -> Float[Array, "points places"]:
+    def ends(germ: Array) -> Array:
+        grid = realise(problem.simulation, germ, decisions).record(Asked(frozenset())).grid
+        return jnp.stack([jnp.asarray(grid.of(place).t_final) for place in places])
+
+    return jax.vmap(ends)(germ)
+
+
+_ENDS = Compiled(_ends, use=Use.ONCE)
+
+
+def behind_end(
+    problem: AbstractProblem, germ: Float[np.ndarray, "points variables"], decisions: Float[np.ndarray, " n"]
+) -> str:
+    """A sentence on data that are compared with an output of a system that has ended before; empty if there are none.
+
+    `germ`: the points at which systems are simulated.
+    """
+    measured = [one for one in functionals_of(problem.expressions) if isinstance(one, Measured)]
+    if not (measured and ends_by_event(problem)):
+        return ""
+    places = tuple(one.place for one in measured)
+    ends = np.asarray(_ENDS(numbers_to_arrays(problem), places, jax_array(germ), jax_array(decisions))).min(axis=0)
+    for one, end in zip(measured, ends.tolist(), strict=True):
+        if max(one.times) > end + ROUNDED * abs(end):
+            return (
+                f"residuals of '{one.output}' compare a datum at {max(one.times):.4g} s with a motion that "
+                f"'{problem.grid.of(one.place).until}' ends at {end:.4g} s: leave out data behind the end, or take a "
+                "grid that ends later"
+            )
+    return ""
 
 
 def ends_by_event(problem: AbstractProblem) -> bool:

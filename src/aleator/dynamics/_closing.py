@@ -31,8 +31,11 @@ _PASSES = 5
 _MOST, _LEAST = 60, 2.0**-8
 # Halvings of a step in which an event is sought between instants.
 _HALVED = 20
-# The shortest period, as a part of the time until the latest end. An event before that is the one at the start.
+# The shortest period, as a part of a step until the latest end: no time closes too.
 _SHORTEST = 0.05
+# A first crossing is the one at the start, which lies just before it, if the event's function comes from so small a
+# part of what it reaches before the next.
+_AT_START = 0.05
 # Rates that differ by this part of the largest one are the same.
 _SAME = 1e-6
 
@@ -207,8 +210,7 @@ class _Cycle(NamedTuple):
         end = jax.lax.while_loop(lambda state: state.goes_on, advance, start)
         is_closed = end.length <= CLOSE
         if until:
-            # No time closes too.
-            is_closed &= end.sought[-1] - grid.t_start > _SHORTEST * grid.duration
+            is_closed &= end.sought[-1] - grid.t_start > _SHORTEST * jnp.asarray(grid.step)
         return jnp.where(is_closed, end.sought, jnp.nan), jnp.linalg.inv(end.slopes)
 
 
@@ -236,8 +238,13 @@ def _level_along(
     level, rate = jax.vmap(level_and_rate)(grid.times, rows)
     rate = rate * jnp.asarray(grid.step)  # in a step, as elsewhere
     known = stop_gradient((level[:-1], rate[:-1], level[1:], rate[1:]))
+    crosses = crosses_zero(*known, direction)
     # A cycle starts where the one before ended, up to the error of the guess.
-    crosses = crosses_zero(*known, direction) & (grid.fractions[1:] > _SHORTEST)
+    reached = jax.lax.cummax(jnp.abs(level) if direction == 0 else -direction * level)
+    first = jnp.argmax(crosses)
+    later = crosses & (np.arange(crosses.size) > first)
+    before_next = reached[jnp.where(later.any(), jnp.argmax(later), crosses.size)]
+    crosses = jnp.where(stop_gradient(reached[first] < _AT_START * before_next), later, crosses)
     k = jnp.argmax(crosses)
     end = stop_gradient(grid.times[k] + _crossing_of(*known)[k] * grid.step)
     return level[-1], jnp.where(crosses.any(), end, jnp.nan)

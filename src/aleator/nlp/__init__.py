@@ -30,6 +30,7 @@ from aleator.nlp._searches import load_pymoo as load_pymoo
 from aleator.nlp._searches import population_front as population_front
 from aleator.nlp._slopes import Slopes as Slopes
 from aleator.nlp._slopes import missed_slope as missed_slope
+from aleator.nlp._slopes import probe_at as probe_at
 from aleator.nlp._slopes import slopes_at as slopes_at
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver

@@ -131,30 +131,52 @@ class Miss(NamedTuple):
     exact: float
 
 
-def missed_slope(
-    program: NonlinearProgram, point: Float[np.ndarray, " n"], multipliers: Float[np.ndarray, " m"]
-) -> Miss | None:
-    """Where values around a point do not follow their derivatives, by four evaluations; None where they do.
+class Probe(NamedTuple):
+    """Steps from a point along a random direction, in which none leaves the bounds.
 
-    The rows that hold the point are among them, by their multipliers. Variables at a bound move away from it.
+    - `along`: the direction; `sides`: the signs of the steps; `lengths`: of a longer and a shorter one.
     """
-    here = program.evaluate(point)
+
+    along: Float[np.ndarray, " n"]
+    sides: tuple[float, ...]
+    lengths: tuple[float, float]
+
+
+def probe_at(program: NonlinearProgram, point: Float[np.ndarray, " n"], lengths: tuple[float, float] = _ALONG) -> Probe:
+    """Steps from a point to both sides, or to one if there are variables near a bound, which move away from it.
+
+    `lengths`: in typical magnitudes of the variables.
+    """
     lower, upper = (point - program.lower) / program.variable_scale, (program.upper - point) / program.variable_scale
     generator = np.random.default_rng(0)
     direction = generator.uniform(0.5, 1.5, point.size) * generator.choice([-1.0, 1.0], point.size)
-    at_lower, at_upper = lower <= _ALONG[0], upper <= _ALONG[0]
+    reach = lengths[0] * np.abs(direction)
+    at_lower, at_upper = lower <= reach, upper <= reach
     direction = np.where(at_lower, np.abs(direction), np.where(at_upper, -np.abs(direction), direction))
     direction[at_lower & at_upper] = 0.0
-    along = direction * program.variable_scale
+    return Probe(direction * program.variable_scale, (1.0,) if (at_lower | at_upper).any() else (-1.0, 1.0), lengths)
+
+
+def missed_slope(
+    program: NonlinearProgram,
+    point: Float[np.ndarray, " n"],
+    multipliers: Float[np.ndarray, " m"],
+    probe: Probe | None = None,
+) -> Miss | None:
+    """Where values around a point do not follow their derivatives, by four evaluations; None where they do.
+
+    The rows that hold the point are among them, by their multipliers.
+    """
+    here = program.evaluate(point)
+    along, sides, lengths = probe_at(program, point) if probe is None else probe
     exact = float((here.gradient + multipliers @ here.jacobian) @ along)
-    sides = (1.0,) if (at_lower | at_upper).any() else (-1.0, 1.0)
 
     def slope(step: float) -> float:
         there = program.evaluate(point + step * along)
         change = there.objective - here.objective + float(multipliers @ (there.constraints - here.constraints))
         return change / step
 
-    slopes = np.array([[slope(side * step) for side in sides] for step in _ALONG])
+    slopes = np.array([[slope(side * step) for side in sides] for step in lengths])
     if not np.isfinite(slopes).all():
         return None
     least, most = slopes.min(axis=1), slopes.max(axis=1)

@@ -286,25 +286,22 @@ class Objection(NamedTuple):
 class Certificate(Printed):
     """How far an answer can be trusted: program, grid, expansion and model. `print` shows it.
 
-    - `violation`, `stationarity`, `complementarity`: scaled residuals of the optimality conditions, recomputed from the
-      point and its multipliers instead of taken from the solver;
+    - `violation`, `stationarity`, `complementarity`: scaled residuals of the optimality conditions, recomputed;
     - `expansion`: the quality of the expansions;
     - `between`: how far limits over time are exceeded between instants; None if that was not checked;
     - `grid_error`: the difference to a finer grid with an integrator of another order; None for models without time;
     - `worst_case`: the worst realisations of limits on the worst case; None if there are no such limits;
-    - `opinion`: fresh simulations at the answer, compared with the expansions; None if nothing is uncertain, nothing
-      was solved, or the grid is already too coarse;
+    - `opinion`: fresh simulations at the answer, compared with the expansions; None where there is nothing to ask;
     - `untrusted`: a sentence on the statistic for which an expansion is too coarse; empty if there is none;
-    - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
-      infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
+    - `misled`: if nothing was solved, a sentence on large errors of the grid where the search began or ended;
     - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
     - `reaches`: how large each functional that was checked could be in a typical system, as the scale of its rounding;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
-    - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, each step of
-      which, or phase that an event ends, was then checked from the plan's own; empty unless by orders of magnitude;
+    - `departed`: how far a simulation departs from an unstable plan, whose steps were then checked from its own states;
     - `smoothing`: the same design at half the widths of `al.smooth`; None without any;
     - `indistinct`: a sentence on a broken limit of zero that is as small as rounding, but follows the decisions;
-    - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty.
+    - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty;
+    - `extrapolated`: a sentence on data that are compared with a motion that has ended before; else empty.
     """
 
     violation: float
@@ -324,6 +321,7 @@ class Certificate(Printed):
     smoothing: Smoothing | None = None
     indistinct: str = ""
     crossed: str = ""
+    extrapolated: str = ""
 
     @property
     def objection(self) -> Objection | None:
@@ -334,6 +332,8 @@ class Certificate(Printed):
         between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
         if self.crossed:
             yield "a realisation does not end at the first event", f"solved, but {self.crossed}"
+        if self.extrapolated:
+            yield "data lie behind the end of the motion", f"solved, but {self.extrapolated}"
         if self.indistinct:
             yield "a broken limit of zero is as small as rounding", f"solved, but {self.indistinct}"
         if between is not None and not between.holds:

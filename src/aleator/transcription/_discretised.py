@@ -123,7 +123,7 @@ def divided(problem: Problem, discretised: Discretised, decisions: Float[np.ndar
     expansion, basis = problem.expansion, discretised.basis
     if not (isinstance(expansion, MultiElement) and isinstance(basis, PiecewiseBasis)):
         return None
-    settings = replace(expansion, cells=basis.cells)
+    settings = replace(expansion, cells=expansion.cells or basis.cells)
     refinement = Refinement(basis.germs, settings, _Outputs.of(problem, decisions))
     refinement.run()
     if not refinement.splits:
@@ -154,7 +154,9 @@ class _Outputs:
 
     def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
         """The functionals by their texts."""
-        traced, at = numbers_to_arrays(self.problem), jax_array(self.decisions)
+        # Functionals are the same whatever the expansion, so that further elements compile nothing.
+        problem = eqx.tree_at(lambda tree: tree.expansion, self.problem, Expansion(1))
+        traced, at = numbers_to_arrays(problem), jax_array(self.decisions)
         texts = [one.text() for one in functionals_of(self.problem.expressions)]
         return dict(zip(texts, in_batches(RESPOND, traced, points, at), strict=True))
 
