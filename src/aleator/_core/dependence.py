@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.core import Tracer
-from jax.extend.core import Literal
+from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, Float, Int
+
+from aleator._core.interpreted import GATHERS, MOVING, NESTED, SCATTERS, by_numpy, landed_at
 
 # Of one number each: linear in all operands together; bent.
 _LINEAR = {
@@ -34,39 +36,8 @@ BY_NUMBER = {
     *("lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not", "xor"),
 }
 """Equations of one number each, of arrays of one shape."""
-# Results that are operands' numbers in other places, or fixed ones: by NumPy, for JAX would compile a program for each.
-MOVING: dict[str, Callable[..., Any]] = {
-    "reshape": lambda one, new_sizes, **_: one.reshape(new_sizes),
-    "transpose": lambda one, permutation: one.transpose(permutation),
-    "squeeze": lambda one, dimensions: one.squeeze(dimensions),
-    "slice": lambda one, start_indices, limit_indices, strides: one[
-        tuple(map(slice, start_indices, limit_indices, strides or [None] * one.ndim))
-    ],
-    "split": lambda one, sizes, axis: np.split(one, np.cumsum(sizes)[:-1], axis),
-    "concatenate": lambda *every, dimension: np.concatenate(every, dimension),
-    "stack": lambda *every, axis: np.stack(every, axis),
-    "rev": lambda one, dimensions: np.flip(one, dimensions),
-    "broadcast_in_dim": lambda one, shape, broadcast_dimensions, **_: np.broadcast_to(
-        np.expand_dims(one, [axis for axis in range(len(shape)) if axis not in broadcast_dimensions]), shape
-    ),
-}
-# The same, by JAX.
+# Numbers that move beside those of `MOVING`, by JAX.
 _MOVING_BY_JAX = {"pad", "dynamic_slice"}
-# The numbers of places, which follow from no variable, such as those of `x.at[0]` and `x[-indices]`.
-_COUNTED: dict[str, Callable[..., Any]] = MOVING | {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "lt": np.less,
-    "ge": np.greater_equal,
-    "select_n": lambda which, *cases: np.choose(which, cases),
-    "convert_element_type": lambda one, new_dtype, **_: np.asarray(one).astype(new_dtype),
-    "iota": lambda shape, dimension, **_: np.indices(shape)[dimension],
-}
-# Numbers are taken from such places, or brought there.
-_GATHERS, _SCATTERS = "gather", ("scatter", "scatter-add")
-# Primitives that contain other equations.
-NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
 # No table of dependences is larger than this: blocks of more numbers are full.
 _MOST = 10_000_000
 # Tables of more variables are multiplied as sparse ones.
@@ -80,11 +51,14 @@ _Known: TypeAlias = _Table | None
 class Dependence(NamedTuple):
     """Where a block's derivatives may differ from zero.
 
-    - `first`: of each row by each variable; `second`: by each pair of variables, of any row.
+    - `first`: of each row by each variable; `second`: by each pair of variables, of any row;
+    - `affine`: the equations of the rows if derivatives are the same everywhere: no pair of variables bends these, and
+      none decides something, as by a comparison.
     """
 
     first: Bool[np.ndarray, "rows variables"]
     second: Bool[np.ndarray, "variables variables"]
+    affine: ClosedJaxpr | None
 
 
 def column_groups(pattern: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, " columns"]:
@@ -118,14 +92,16 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     sizes = [int(np.prod(one.shape)) for one in variables]
     count, rows = sum(sizes), int(np.prod(shape.shape))
     if max(_largest(closed.jaxpr), count) * count > _MOST:
-        return Dependence(np.ones((rows, count), dtype=bool), np.ones((count, count), dtype=bool))
+        return Dependence(np.ones((rows, count), dtype=bool), np.ones((count, count), dtype=bool), None)
     jaxpr, _ = dce_jaxpr(closed.jaxpr, [True], instantiate=True)
     certain = len(jaxpr.invars) - len(variables)
     alone = np.split(np.eye(count, dtype=bool), np.cumsum(sizes)[:-1])
     following = _Following(count)
     known = dict(zip(jaxpr.constvars, closed.consts, strict=True))
     (first,) = following.results(jaxpr, [*[None] * certain, *alone], known)
-    return Dependence(np.zeros((rows, count), dtype=bool) if first is None else first, following.bent)
+    first = np.zeros((rows, count), dtype=bool) if first is None else first
+    is_affine = not (following.bent.any() or following.decides)
+    return Dependence(first, following.bent, ClosedJaxpr(jaxpr, closed.consts) if is_affine else None)
 
 
 def _largest(jaxpr: Any) -> int:
@@ -139,10 +115,13 @@ def _largest(jaxpr: Any) -> int:
 
 @final
 class _Following:
-    """Follows dependences through equations, and notes the pairs of variables that bend some number, in `bent`."""
+    """Follows dependences through equations, and notes the pairs of variables that bend some number, in `bent`, and
+    whether one `decides` something.
+    """
 
     def __init__(self, count: int):
         self.bent = np.zeros((count, count), dtype=bool)
+        self.decides = False
 
     def results(self, jaxpr: Any, arguments: Sequence[_Known], constants: Mapping[Any, Any]) -> list[_Known]:
         """The dependences of the results of some equations, with the values of their constants."""
@@ -154,20 +133,24 @@ class _Following:
 
         for equation in jaxpr.eqns:
             operands = [read(one) for one in equation.invars]
-            if any(one is not None for one in operands) and any(map(_is_smooth, equation.outvars)):
+            depends, is_smooth = any(one is not None for one in operands), any(map(_is_smooth, equation.outvars))
+            if depends and is_smooth:
                 pairs = zip(equation.outvars, self._followed(equation, operands, counted), strict=True)
                 tables.update((variable, table if _is_smooth(variable) else None) for variable, table in pairs)
-            elif (count := _COUNTED.get(equation.primitive.name)) and not any(map(_is_smooth, equation.outvars)):
+            elif depends:
+                self.decides = True
+            elif not is_smooth:
+                # The numbers of places, such as those of `x.at[0]` and `x[-indices]`.
                 values = [one.val if isinstance(one, Literal) else counted.get(one) for one in equation.invars]
-                if len(equation.outvars) == 1 and all(one is not None for one in values):
-                    counted[equation.outvars[0]] = count(*map(np.asarray, values), **equation.params)
+                if all(one is not None for one in values) and (results := by_numpy(equation, values)) is not None:
+                    counted.update(zip(equation.outvars, results, strict=True))
         return [read(one) for one in jaxpr.outvars]
 
     def _followed(self, equation: Any, operands: list[_Known], counted: dict[Any, np.ndarray]) -> Sequence[_Known]:
         name = equation.primitive.name
-        if name == _GATHERS or name in _SCATTERS:
+        if name == GATHERS or name in SCATTERS:
             places = counted.get(equation.invars[1])
-            if places is not None and (landed := _landed(equation, places)) is not None:
+            if places is not None and (landed := landed_at(equation, places)) is not None:
                 return [_brought(equation, landed, operands)]
         if name in NESTED:
             inner = equation.params[NESTED[name]]
@@ -243,36 +226,10 @@ def _is_counted(variable: Any, value: Any) -> bool:
     return not (isinstance(value, Tracer) or _is_smooth(variable))
 
 
-def _landed(equation: Any, places: Int[np.ndarray, "... axes"]) -> Int[np.ndarray, " numbers"] | None:
-    """Where in its operand each number stands that an equation takes or brings; None if some are outside, and for
-    batches.
-    """
-    params, takes = equation.params["dimension_numbers"], equation.primitive.name == _GATHERS
-    shape, moved = equation.invars[0].aval.shape, (equation.outvars[0] if takes else equation.invars[2]).aval.shape
-    if takes:
-        within, without, axes = params.offset_dims, params.collapsed_slice_dims, params.start_index_map
-    else:
-        within, without, axes = (
-            params.update_window_dims,
-            params.inserted_window_dims,
-            params.scatter_dims_to_operand_dims,
-        )
-    if params.operand_batching_dims:
-        return None
-    numbers = np.indices(moved)
-    first = places[tuple(numbers[axis] for axis in range(len(moved)) if axis not in within)]
-    at = np.zeros((len(shape), *moved), dtype=int)
-    at[[axis for axis in range(len(shape)) if axis not in without]] = numbers[list(within)]
-    at[list(axes)] += np.moveaxis(np.broadcast_to(first, (*moved, len(axes))), -1, 0)
-    if any(one.size and not 0 <= one.min() <= one.max() < size for one, size in zip(at, shape, strict=True)):
-        return None
-    return np.ravel_multi_index(tuple(at), shape).ravel() if shape else np.zeros(math.prod(moved), dtype=int)
-
-
 def _brought(equation: Any, landed: Int[np.ndarray, " numbers"], operands: list[_Known]) -> _Known:
     """Of numbers taken from their places, or with others brought there, beside what was there before."""
     into, _, *others = operands
-    if equation.primitive.name == _GATHERS:
+    if equation.primitive.name == GATHERS:
         return None if into is None else into[landed]
     (brought,) = others
     if brought is None:

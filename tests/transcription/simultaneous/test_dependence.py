@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.dependence import dependence
-from compiling import compiled
+from aleator.transcription.simultaneous._blocks import Family
+from compiling import compiled, programs_listed
 
 MATRIX = np.arange(1.0, 10.0).reshape(3, 3)
 
@@ -90,3 +91,54 @@ def test_many_variables_are_followed_one_by_one():
     found = dependence(lambda x: x[7] * x[300:301] + jnp.sum(x[:3]), (), [jax.ShapeDtypeStruct((1000,), float)])
     assert np.array_equal(np.flatnonzero(found.first), [0, 1, 2, 7, 300])
     assert np.array_equal(np.argwhere(found.second), [[7, 300], [300, 7]])
+
+
+# --- Affine blocks ---------------------------------------------------------------------------------------------------
+
+AFFINE = {
+    "a product with a matrix": (lambda d, x: MATRIX @ x[:3] + d, True),
+    "factors that data decide": (lambda d, x: jnp.where(d > 1, x[0], jnp.sin(d) * x[1:2] / 3.0), True),
+    "a place": (lambda d, x: x.at[1].add(x[0]) - 2.0, True),
+    "nothing": (lambda d, x: d, True),
+    "a product": (lambda d, x: x[:1] * x[1], False),
+    "a choice": (lambda d, x: jnp.where(x > 0, x, 0.0), False),
+    "a count": (lambda d, x: jnp.sum(x > 0)[None] * d, False),
+    "a sign": (lambda d, x: jnp.sign(x), False),
+    "rounded numbers": (lambda d, x: jnp.floor(x), False),
+    "a rule of its own": (lambda d, x: rounded(x), False),
+    "a loop": (lambda d, x: jax.lax.fori_loop(0, 2, lambda _, y: 2 * y, x), False),
+}
+
+
+def test_blocks_are_affine_whose_derivatives_are_the_same_everywhere():
+    for name, (block, is_affine) in AFFINE.items():
+        assert (dependence(block, (np.ones(1),), [np.ones(4)]).affine is not None) is is_affine, name
+
+
+def test_affine_blocks_have_rows_and_slopes_without_a_program():
+    """Of `offset + factor a + b u`: slopes are exact whatever is added to them."""
+    outer, inner = np.array([[1e9, 3e-7], [-2.0, 5.0], [0.0, 0.0]]), np.array([[0.25], [4.0]])
+
+    def block(data, factor, shared, own):
+        return jnp.stack([data[0] + data[1] * shared[0] + factor[0] * own[1], own[0] + 1.0])
+
+    family = Family(block, np.arange(1), np.arange(1, 13).reshape(3, 2, 2), outer, inner)
+    depends = family.dependence
+    with programs_listed() as programs:
+        rows, slopes = family.affine(depends.affine, np.flatnonzero(depends.first))
+    assert programs == []
+    np.testing.assert_array_equal(rows, np.broadcast_to([[[one, 1.0]] for one in outer[:, 0]], (3, 2, 2)))
+    for i, j in np.ndindex(3, 2):
+        np.testing.assert_allclose(slopes[i, j], [outer[i, 1], inner[j, 0], 1.0], rtol=1e-14)
+
+
+def test_many_blocks_are_left_to_a_compiler():
+    family = Family(lambda d, _, s, o: d * o, np.arange(0), np.zeros((11_000, 1, 3)), np.ones((11_000, 3)))
+    depends = family.dependence
+    assert family.affine(depends.affine, np.flatnonzero(depends.first)) is None
+    same = family._replace(function=lambda d, _, s, o: 2.0 * o)
+    depends = same.dependence
+    rows, slopes = same.affine(depends.affine, np.flatnonzero(depends.first))
+    assert rows.shape == slopes.shape == (11_000, 1, 3)
+    assert not rows.any()
+    assert (slopes == 2.0).all()

@@ -7,16 +7,19 @@ constant matrices that are put together once.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
 import scipy
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Float, Int
 
+from aleator._core.dependence import Dependence
 from aleator.nlp import SparseMatrix, with_entries
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._families import objective_of
+from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, RATES, number_of, objective_of
 from aleator.transcription.simultaneous._layout import Layout
 
 
@@ -27,23 +30,25 @@ class Pattern:
 
     - `columns`: shape (outer, inner, columns); `rows`: shape (outer, inner, rows);
     - `slopes`: the entries of a block's Jacobian that may differ from zero, among all row by row; `bends`: those of
-      its Hessian's lower triangle.
+      its Hessian's lower triangle; `affine`: the equations of a block if the former are the same everywhere.
     """
 
     columns: Int[np.ndarray, "outer inner columns"]
     rows: Int[np.ndarray, "outer inner rows"]
     slopes: Int[np.ndarray, " slopes"]
     bends: Int[np.ndarray, " bends"]
+    affine: ClosedJaxpr | None
 
     @classmethod
-    def of(cls, family: Family, first: int) -> "Pattern":
+    def of(cls, family: Family, depends: Dependence, first: int) -> "Pattern":
         """That of a family which holds the numbers of its variables, from the first number of a row on."""
         shared, own = np.asarray(family.shared), np.asarray(family.own)
-        shared, depends = np.broadcast_to(shared, (*own.shape[:2], shared.size)), family.dependence
+        shared = np.broadcast_to(shared, (*own.shape[:2], shared.size))
         shape = *own.shape[:2], len(depends.first)
         rows = np.arange(first, first + math.prod(shape)).reshape(shape)
         columns = np.concatenate([shared, own], axis=2)
-        return cls(columns, rows, np.flatnonzero(depends.first), np.flatnonzero(np.tril(depends.second)))
+        bends = np.flatnonzero(np.tril(depends.second))
+        return cls(columns, rows, np.flatnonzero(depends.first), bends, depends.affine)
 
     @property
     def slopes_shape(self) -> tuple[int, ...]:
@@ -153,6 +158,39 @@ def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> Spars
     return pattern
 
 
+def without_affine(
+    layout: Layout,
+    families: Sequence[Family],
+    patterns: Sequence[Pattern],
+    signals: Sequence[tuple[Float[np.ndarray, " known"], SparseMatrix]],
+) -> tuple[Float[np.ndarray, " rows"], SparseMatrix, list[Pattern]]:
+    """What affine blocks say, the rows of all where variables are zero and how these act on them, and the patterns of
+    what is left to be evaluated.
+
+    - `signals`: see `affine_signals`, of each phase; none where they are evaluated.
+
+    Blocks that grow with the mesh are left: their rates are asked for elsewhere too.
+    """
+    phases, left, entries = len(layout.phases), list(patterns), list[tuple[Any, Any, Any]]()
+    constant, first = np.zeros(sum(one.rows.size for one in patterns)), 0
+    for known, slopes in signals:
+        constant[first : first + known.size] = known
+        acting = slopes.tocoo()
+        entries.append((first + acting.row, layout.numbers.decisions[acting.col], acting.data))
+        first += known.size
+    growing = [number_of(kind, i, phases) for kind in (KNOWN, RATES, EQUATIONS) for i in range(phases)]
+    for i, (family, pattern) in enumerate(zip(families, patterns, strict=True)):
+        equations = pattern.affine if pattern.rows.size and i not in growing else None
+        known = None if equations is None else family.affine(equations, pattern.slopes)
+        if known is None or not all(np.isfinite(one).all() for one in known):
+            left[i] = replace(pattern, affine=None)
+            continue
+        constant[pattern.rows], slopes = known
+        entries.append((*pattern.entries, slopes.ravel()))
+        left[i] = replace(pattern, slopes=pattern.slopes[:0])
+    return constant, _matrix(entries, (constant.size, layout.count)), left
+
+
 class Ties(NamedTuple):
     """Equalities that together determine as many variables from all others: their rows and variables, shape (ties,).
 
@@ -183,13 +221,13 @@ def rows_of(
     layout: Layout,
     blocks: list[Int[np.ndarray, "..."]],
     fit: Float[np.ndarray, "terms points"],
-    slopes: SparseMatrix,
+    affine: SparseMatrix,
 ) -> Rows:
     """The rows of a program.
 
     - `blocks`: the number of each row of each family's blocks, in the order of `Families.every`;
     - `fit`: see `Collocation.pseudo_inverse`;
-    - `slopes`: how the decisions act on signals and durations beside their blocks.
+    - `affine`: how variables act on the rows of blocks beside what these compute.
     """
     phases, constraints = len(layout.phases), len(layout.problem.constraints)
     objective = objective_of(phases)
@@ -219,10 +257,8 @@ def rows_of(
         stands_for.append(np.ravel(these))
 
     decided = ~np.isin(layout.known, layout.fixed)
-    acting, first = slopes[decided].tocoo(), count
     known, *of_phases = kinds
     tied(layout.known[decided], np.concatenate([one.ravel() for one in known])[decided])
-    linear.append((first + acting.row, variables.decisions[acting.col], -acting.data))
     for phase, part, families in zip(layout.phases, variables.phases, zip(*of_phases, strict=True), strict=True):
         initial, rates, equations, paths, ends, composed, nodes, levels = families
         mesh, states = phase.mesh, part.states.shape[2]
@@ -269,9 +305,5 @@ def rows_of(
     stands_for.append(variables.totals)
     first = own[-1].stop if own else 0
     ties = Ties(np.arange(first, count), np.concatenate(stands_for).astype(int))
-    return Rows(
-        _matrix(linear, (count, layout.count)),
-        _matrix(combined, (count, sum(rows.size for rows in blocks))),
-        tuple(own),
-        ties,
-    )
+    matrix = _matrix(combined, (count, sum(rows.size for rows in blocks)))
+    return Rows(_matrix(linear, (count, layout.count)) + matrix @ affine, matrix, tuple(own), ties)

@@ -6,19 +6,28 @@ number; which variables a block is given is known by construction, and which of 
 equations. So one tangent takes the derivatives by all variables of which no row sees two.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int, Num
 
 from aleator._core.arrays import Pytree
 from aleator._core.dependence import Dependence, column_groups, dependence, seeds_of
+from aleator._core.interpreted import interpreted
 
 Block: TypeAlias = Callable[[Pytree, Pytree, Array, Array], Float[Array, " rows"]]
 """Of the data of the outer and of the inner index, of the shared and of the block's own variables."""
+
+# From so far away slopes of affine blocks are told to the last digit, whatever is added: a power of two.
+_FAR = 2.0**60
+# So many equations take less time by NumPy, one after the other, than a compiler takes for few.
+_MOST = 20_000
 
 
 class Family(NamedTuple):
@@ -50,6 +59,11 @@ class Family(NamedTuple):
         return jax.vmap(row)(self.outer, self.own, *arrays)
 
     @property
+    def width(self) -> int:
+        """How many variables each block is given."""
+        return self.shared.size + self.own.shape[2]
+
+    @property
     def dependence(self) -> Dependence:
         """How the rows of a block depend on its shared variables, then its own. Variables may be their numbers."""
 
@@ -72,6 +86,35 @@ class Family(NamedTuple):
         values, slopes = self.mapped(lambda block, shared, own: _differentiated(block, shared, own, seeds))
         return values, slopes[..., rows, groups[columns]]
 
+    def affine(
+        self, equations: ClosedJaxpr, entries: Int[np.ndarray, " entries"]
+    ) -> tuple[Float[np.ndarray, "outer inner rows"], Float[np.ndarray, "outer inner entries"]] | None:
+        """The same of affine blocks, their rows where all variables are zero: nothing is compiled. None where that
+        would take longer.
+
+        - `equations`: those of one block.
+        """
+        rows, columns, pattern = self._places(entries)
+        groups = column_groups(pattern)
+        points = np.concatenate([np.zeros((1, pattern.shape[1])), _FAR * seeds_of(groups)[: entries.size]])
+        _, needed = dce_jaxpr(equations.jaxpr, [True])
+        data, is_needed = (self.outer, self.inner), iter(needed)
+        # Blocks that need no data of an index are the same along it.
+        each = zip(data, self.own.shape, strict=False)
+        counts = [count if _is_given(one) and next(is_needed) else 1 for one, count in each]
+        if math.prod(counts) * len(points) * len(equations.eqns) > _MOST:
+            return None
+
+        def rows_at(which: tuple[int, ...], point: np.ndarray) -> np.ndarray:
+            own = [one[i] for one, i in zip(data, which, strict=True) if _is_given(one)]
+            return interpreted(equations.jaxpr, equations.consts, [*own, *_apart(point, self.shared)])[0]
+
+        values = np.array([[rows_at(which, one) for one in points] for which in np.ndindex(*counts)])
+        values = values.reshape(*counts, *values.shape[1:])
+        still, slopes = values[:, :, 0], (values[:, :, 1:] - values[:, :, :1]) / _FAR
+        shape, slopes = self.own.shape[:2], slopes[:, :, groups[columns], rows]
+        return np.broadcast_to(still, (*shape, still.shape[2])), np.broadcast_to(slopes, (*shape, entries.size))
+
     def curved(
         self, weights: Float[Array, "outer inner rows"], entries: Int[np.ndarray, " entries"]
     ) -> Float[Array, "outer inner entries"]:
@@ -89,16 +132,19 @@ class Family(NamedTuple):
 
     def _places(self, entries: Int[np.ndarray, " entries"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The rows and columns of entries, and all of these as a table, at least as high as wide."""
-        count = self.shared.size + self.own.shape[2]
-        rows, columns = np.divmod(entries, max(count, 1))
-        pattern = np.zeros((rows.max(initial=count - 1) + 1, count), dtype=bool)
+        rows, columns = np.divmod(entries, max(self.width, 1))
+        pattern = np.zeros((rows.max(initial=self.width - 1) + 1, self.width), dtype=bool)
         pattern[rows, columns] = True
         return rows, columns, pattern
 
 
-def _apart(seed: Array, shared: Array) -> list[Array]:
+def _is_given(data: Pytree) -> bool:
+    return not isinstance(data, tuple)
+
+
+def _apart(seed: Any, shared: Any) -> list[Any]:
     """A direction's parts along shared and own variables."""
-    return jnp.split(seed, [shared.size])
+    return [seed[: shared.size], seed[shared.size :]]
 
 
 def _differentiated(block: Callable[..., Array], shared: Array, own: Array, seeds: Array) -> tuple[Array, Array]:

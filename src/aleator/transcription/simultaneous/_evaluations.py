@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._signals import in_chunks
 
+# Places that are evaluated at once, as many on every mesh.
+_PLACES = 256
 # A level that is a smaller part of the largest is zero.
 _ROUNDING = 1e-9
 
@@ -52,9 +53,11 @@ def evaluated_at(
     - `model`: the decisions of the model itself, see `Pointwise.direct`; `duration`: see `PhaseVariables`.
     """
     parts = []
-    for which, count in in_chunks(places):
+    for first in range(0, len(places), _PLACES):
+        which = np.minimum(np.arange(first, first + _PLACES), len(places) - 1)
         at = model, duration, signals[which], states[:, which]
-        parts.append(np.asarray(EVALUATED(what, source, points, places[which], at))[:, :count])
+        every = np.asarray(EVALUATED(what, source, points, places[which], at))
+        parts.append(every[:, : len(places) - first])
     return np.concatenate(parts, axis=1)
 
 

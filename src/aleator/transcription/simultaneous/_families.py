@@ -41,8 +41,8 @@ from aleator.uncertainty import named_numbers
 class PhaseFamilies(NamedTuple):
     """The families of one phase.
 
-    - `known`: the signals at all mesh points, then the duration unless each realisation has its own: one block; without
-      decisions if these are affine, for matrices then hold how they act;
+    - `known`: the signals at all mesh points, then the duration unless each realisation has its own: one block; zero if
+      these are affine, for matrices then hold how decisions act;
     - `initial`: the states of each realisation at the first mesh point: initial ones, those that follow from the end of
       the phase before, or those with which a cycle repeats;
     - `rates`: the blocks of the scheme, mean rates of states, then of integrands; `equations`: those of the algebraic
@@ -177,7 +177,9 @@ def _families_of(layout: Layout, own: _Phase, before: _Phase | None) -> PhaseFam
 
     def known(outer: Any, inner: Any, shared: Array, rest: Array) -> Array:
         del outer, inner, rest
-        return known_numbers(pointwise, mesh.places, shared if shared.size else jnp.zeros(layout.sizes.decisions))
+        if layout.plan.is_affine:
+            return jnp.zeros(variables.signals.size + own.shared.size)
+        return known_numbers(pointwise, mesh.places, shared)
 
     def composed(outer: Any, inner: Any, shared: Array, rest: Array) -> Array:
         del outer, inner

@@ -6,6 +6,7 @@ would give it.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import final
@@ -14,17 +15,25 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core.dependence import Dependence
 from aleator.design import Problem, Value
 from aleator.nlp import Evaluation, Hessian, NonlinearProgram, SparseMatrix
 from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
 from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern, Rows, Ties, rows_of
+from aleator.transcription.simultaneous._assembly import (
+    Curvature,
+    Jacobian,
+    Pattern,
+    Rows,
+    Ties,
+    rows_of,
+    without_affine,
+)
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, RATES, families, number_of, objective_of
 from aleator.transcription.simultaneous._layout import Layout
-from aleator.transcription.simultaneous._signals import affine_signals
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
 # A magnitude below this is rounding.
@@ -67,24 +76,24 @@ def _calls(
     signals = [] if layout.plan.is_affine else [i for i in growing[KNOWN] if rows[i]]
     known = [one for i in signals for one in calls_of(traced, constants, layout.plan, [tuple(tiles[i])])]
     apart = {i for some in growing.values() for i in some}
-    rest = [some for i, some in enumerate(tiles) if i not in apart and rows[i]]
+    rest = [some for i, some in enumerate(tiles) if i not in apart and rows[i] and not patterns[i].affine]
     # Few of them grow with the mesh, where paths are recorded: with more tiles of these the others are repeated.
-    count = max(map(len, rest))
+    count = max(map(len, rest), default=0)
     together = [tuple(some[min(k, len(some) - 1)] for some in rest) for k in range(count)]
     # Numbers by name are those of the problem's own decisions, whose number grows with those of its controls.
     has_names = any(isinstance(leaf, Value) for one in traced.expressions for leaf in one.leaves)
-    still = calls_of(traced if has_names else equations, constants, first, together)
+    still = calls_of(traced if has_names else equations, constants, first, together) if together else []
     return [call for some in (*moving, known, still) for call in some]
 
 
 @final
 @dataclass(frozen=True)
 class Blocks:
-    """All blocks of a program, family by family. `known`: the rows of the first family where these are constant."""
+    """All blocks of a program, family by family. `constant`: the rows of those that are not evaluated, else zero."""
 
     calls: list[Call]
     patterns: list[Pattern]
-    known: Float[np.ndarray, " known"]
+    constant: Float[np.ndarray, " rows"]
 
     def __call__(
         self, variables: Float[np.ndarray, " n"]
@@ -95,8 +104,7 @@ class Blocks:
         for tile, (value, slope) in results(self.calls, variables):
             tile.write(value, values[tile.form.family])
             tile.write(slope, slopes[tile.form.family])
-        rows[: self.known.size] = self.known
-        return rows, entries
+        return rows + self.constant, entries
 
     def curved(
         self, variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"]
@@ -150,19 +158,21 @@ class Assembled:
     """Evaluates a program: its blocks by compiled functions, its matrices by assembly.
 
     - `blocks`: gives the rows of all blocks, and the entries of their Jacobians;
-    - `slopes`: how the decisions act on signals and durations, where that is constant, shape (known, decisions);
+    - `affine`: how variables act on the rows of blocks beside these entries; `gradient`: on the objective;
     - `objective`: its row and its entries among those of all blocks, and the variables of these; `rates`: the rows of
-      the rates of each phase at the points where the scheme asks for them.
+      the rates of each phase at the points where the scheme asks for them; `dependences`: of each family's blocks.
     """
 
     rows: Rows
-    slopes: SparseMatrix
+    affine: SparseMatrix
+    gradient: Float[np.ndarray, " variables"]
     evaluated: Blocks
     blocks: Remembered[tuple[np.ndarray, np.ndarray]]
     jacobian: Jacobian
     curvature: Curvature
     objective: tuple[int, slice, np.ndarray]
     rates: tuple[Int[np.ndarray, "realisations _ _"], ...]
+    dependences: list[Dependence]
 
     @classmethod
     def of(
@@ -173,18 +183,26 @@ class Assembled:
         constants: Constants,
         points: Float[np.ndarray, "realisations germs"],
         fit: Float[np.ndarray, "terms points"],
+        signals: Sequence[tuple[Float[np.ndarray, " known"], SparseMatrix]],
+        before: "Assembled | None",
     ) -> "Assembled":
         """That of a problem.
 
-        - `equations`: a problem with the same rates and outputs, of which these are compiled.
+        - `equations`: a problem with the same rates and outputs, of which these are compiled;
+        - `signals`: see `affine_signals`, of each phase; none where they are evaluated;
+        - `before`: that of a problem with the same equations on another mesh.
         """
         every = families(layout, traced, constants, points, layout.numbers).every
-        first, patterns = 0, []
-        for one in every:
-            patterns.append(Pattern.of(one, first))
+        known = [None] * len(every) if before is None else before.dependences
+        first, patterns, dependences = 0, [], []
+        for i, (one, depends) in enumerate(zip(every, known, strict=True)):
+            # All but the signals have the same blocks on every mesh.
+            is_known = depends is not None and i >= len(layout.phases) and depends.first.shape[1] == one.width
+            dependences.append(depends if is_known else one.dependence)
+            patterns.append(Pattern.of(one, dependences[-1], first))
             first += patterns[-1].rows.size
-        constant, slopes = affine_signals(traced, layout)
-        rows = rows_of(layout, [one.rows for one in patterns], fit, slopes)
+        constant, affine, patterns = without_affine(layout, every, patterns, signals)
+        rows = rows_of(layout, [one.rows for one in patterns], fit, affine)
         evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns, constant)
         evaluated.begin(np.zeros(layout.count), first)
         count = len(layout.phases)
@@ -192,19 +210,21 @@ class Assembled:
         objective = patterns[number]
         return cls(
             rows,
-            slopes,
+            affine,
+            affine[[objective.rows.item()]].toarray()[0],
             evaluated,
             Remembered(evaluated),
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
             (int(objective.rows.item()), _entries_of(patterns, number), objective.entries[1]),
             tuple(patterns[number_of(RATES, i, count)].rows for i in range(count)),
+            dependences,
         )
 
     def known(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " known"]:
         """What is `Layout.known`, as it follows from the decisions."""
-        count, decisions = self.slopes.shape
-        return self.blocks(variables)[0][:count] + self.slopes @ variables[:decisions]
+        count = sum(one.rows.size for one in self.evaluated.patterns[: len(self.rates)])
+        return self.blocks(variables)[0][:count] + self.affine[:count] @ variables
 
     def rate_slopes(
         self, variables: Float[np.ndarray, " n"], phase: int, sides: Int[np.ndarray, "asked seen"]
@@ -236,9 +256,10 @@ class Assembled:
         """The program at a point."""
         values, entries = self.blocks(variables)
         row, where, columns = self.objective
-        gradient = np.zeros(variables.size)
+        gradient = self.gradient.copy()
+        value = values[row] + gradient @ variables
         np.add.at(gradient, columns, entries[where])
-        return Evaluation(float(values[row]), gradient, self.constraints(variables), self.jacobian.at(entries))
+        return Evaluation(float(value), gradient, self.constraints(variables), self.jacobian.at(entries))
 
     @property
     def hessian(self) -> Hessian:

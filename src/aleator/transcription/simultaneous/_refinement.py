@@ -54,7 +54,7 @@ def state_rates(
     """
     phase, values = layout.phases[which], layout.view(variables)
     pointwise, duration, shape = phase.pointwise, values.phases[which].duration, (len(points), len(places))
-    signals = signals_at(traced, phase.name, places.reshape(-1, 2), values.decisions).reshape(len(places), -1)
+    signals = signals_at(pointwise, places.reshape(-1, 2), values.decisions).reshape(len(places), -1)
     model = values.decisions[pointwise.direct]
     shared = model if pointwise.is_open else np.append(model, duration)
     parts = [np.broadcast_to(signals, (len(points), *signals.shape))]

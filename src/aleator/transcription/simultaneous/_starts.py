@@ -73,7 +73,7 @@ def _resting(
     return jax.vmap(lambda germ: realise(problem.simulation, germ, decisions).resting())(points)
 
 
-SIMULATED, RESTING = Compiled(_simulated, use=Use.ONCE), Compiled(_resting, use=Use.ONCE)
+SIMULATED, RESTING = Compiled(_simulated, use=Use.BRIEF), Compiled(_resting, use=Use.BRIEF)
 
 
 @final

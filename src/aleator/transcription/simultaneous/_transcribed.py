@@ -51,7 +51,7 @@ from aleator.transcription.simultaneous._refinement import (
     states_on,
 )
 from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import are_affine
+from aleator.transcription.simultaneous._signals import affine_signals
 from aleator.transcription.simultaneous._starts import (
     Course,
     Start,
@@ -86,18 +86,27 @@ class Recipe(NamedTuple):
     begins: Start
 
     def on(
-        self, meshes: tuple[Mesh, ...], start: tuple[np.ndarray, Sequence[Course]] | None = None
+        self,
+        meshes: tuple[Mesh, ...],
+        start: tuple[np.ndarray, Sequence[Course]] | None = None,
+        before: Assembled | None = None,
     ) -> "SimultaneouslyTranscribed":
-        """The program on meshes, starting at some decisions and states, or where all programs of the problem do."""
+        """The program on meshes, starting at some decisions and states, or where all programs of the problem do.
+
+        - `before`: that of the same equations on other meshes.
+        """
         problem, scenarios = self.problem, self.scenarios
         _, collocation, constants = self.discretised
         points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         is_everywhere = np.isfinite(self.goal.error) and any(one.is_path for one in problem.constraints)
         counts = len(points), len(every) - len(points), len(fit)
-        is_affine = all(map(are_affine, Pointwise.each(problem), meshes))
+        signals = [affine_signals(*each) for each in zip(Pointwise.each(problem), meshes, strict=True)]
+        affine = [one for one in signals if one is not None]
+        is_affine = len(affine) == len(signals)
         layout = Layout.of(problem, Plan(meshes, self.goal.schemes[0], *counts, is_everywhere, is_affine))
-        assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit)
+        affine = affine if is_affine else []
+        assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit, affine, before)
         if start is None:
             decisions = self.begins.decisions(problem)
             start = decisions, self.begins.courses(problem, _fractions(layout), every, decisions)
@@ -246,9 +255,10 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         courses = [self._course_on(point, i, one.fractions) for i, one in enumerate(finer)]
         problem, decisions = followed(self.problem, values.decisions, finer)
         traced = numbers_to_arrays(problem)
-        equations = self.recipe.equations if _has_same_equations(problem, self.layout.phases) else traced
+        is_same = _has_same_equations(problem, self.layout.phases)
+        equations, before = (self.recipe.equations, self.assembled) if is_same else (traced, None)
         recipe = self.recipe._replace(problem=problem, traced=traced, equations=equations)
-        transcribed = recipe.on(finer, (decisions, courses))
+        transcribed = recipe.on(finer, (decisions, courses), before)
         return replace(transcribed, meshes=(*self.meshes, error)), transcribed.program.start
 
     @override
