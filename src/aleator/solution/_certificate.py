@@ -337,7 +337,7 @@ class Certificate(Printed):
         if self.indistinct:
             yield "a broken limit of zero is as small as rounding", f"solved, but {self.indistinct}"
         if between is not None and not between.holds:
-            remedy = "or between=1 to check the instants alone"
+            remedy = "refine=True, or between=1 to check the instants alone"
             yield "limits break between the instants", f"solved at the instants of the grid, but {between}, {remedy}"
         if error is not None and not error.is_usable:
             yield "the grid is too coarse", f"solved{f' on {error.steps} steps' if error.steps else ''}, but {error}"
