@@ -120,8 +120,7 @@ def test_a_control_of_many_values_is_as_sparse_as_its_mesh():
     problem = lag(al.Control(0.0, degree=1), grid=al.Grid(2.0, 100), minimize=al.integral("u²").mean)
     by_mesh = transcribe(problem, al.Simultaneous()).program.sparsity
     # A variable, whether a state or a value of the control, enters the equations of the steps beside it alone.
-    assert by_mesh.nnz < 10 * by_mesh.shape[1]
-    assert np.bincount(by_mesh.indices).max() < 10
+    assert by_mesh.nnz < 5 * by_mesh.shape[1]
 
 
 # --- Known optima ----------------------------------------------------------------------------------------------------
