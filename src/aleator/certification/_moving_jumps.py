@@ -23,9 +23,9 @@ from aleator.transcription import AbstractTranscribed, divided, transcribe
 
 # Lengths of the steps, in typical magnitudes of the decisions, and the largest error of elements that resolves these.
 _STEPS, _RESOLVED = (1e-2, 3e-3), 1e-2
-# An element over which a functional varies so many times faster than over all, by a germ variable
-# in its deviations, may hold a jump; two that differ at their
-# face by so many times the error of all, in the mean square of one, may have it between them.
+# An element over which a functional varies so many times faster than over all, by a germ variable in its deviations,
+# may hold a jump; two that differ at their face by so many times the error of all, in the mean square of one, may have
+# it between them.
 _STEEP = 10.0
 # How far beside a face values are taken, as a probability.
 _BESIDE = 1e-9

@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from aleator.statistics._lines import APART, DESCENTS, LAST, MINIMA, SEARCHED, TABLED, Lines, horner, unit
+from aleator.statistics._cubics import horner
+from aleator.statistics._lines import APART, DESCENTS, LAST, MINIMA, SEARCHED, TABLED, Lines, unit
 
 # Points are evaluated for so many at once, for the cache.
 _TOGETHER = 2**11

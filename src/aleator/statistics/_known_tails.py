@@ -14,6 +14,15 @@ from jaxtyping import Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import quietly
+from aleator.statistics._cubics import (
+    beyond,
+    cubics_through,
+    density_of,
+    extremum_within,
+    horner,
+    known_root_within,
+    with_slope,
+)
 from aleator.statistics._known_lines import blocks, minima_of, terms_at, values_at
 from aleator.statistics._lines import (
     CENTRE,
@@ -23,28 +32,19 @@ from aleator.statistics._lines import (
     AnyLines,
     Lines,
     LinesInElements,
-    cubics_through,
-    horner,
     placed,
     unit,
 )
 from aleator.statistics._lower_tails import (
-    AT_REST,
     CONSTANT,
     EQUAL,
-    MOST_ITERATIONS,
     MOST_STEPS,
     NARROW,
     NODES,
     WEIGHTS,
     TailByLines,
-    beyond,
     bracket_of,
-    closer_to_root,
-    density_of,
     error_of,
-    extremum_within,
-    with_slope,
 )
 
 # The width of a cell of the tables of germ variables, in standard deviations.
@@ -174,7 +174,7 @@ class _KnownTailByLines(_AbstractKnownTail):
         is_falling = high[parts]
         cubic = self.cubics[:, line, cell]
         cubic[0] -= threshold
-        place = _root_within(cubic, left, right, ~is_falling)
+        place = known_root_within(cubic, left, right, ~is_falling)
         start, end = np.where(is_falling, place, left), np.where(is_falling, right, place)
         step, first = self.lines.step, self.lines.first_of(cell)
         along, inside = first + place * step, low & high
@@ -351,23 +351,6 @@ class KnownDistribution:
         slope = abs(factor * below - quantile) / (level if lower else 1 - level)
         value = float(self.coefficients[0]) + sign * factor * below
         return Known(value, tail.error(at) * slope, self._slopes(1.0, factor * slopes))
-
-
-def _root_within(
-    powers: Float[np.ndarray, "4 n"],
-    low: Float[np.ndarray, " n"],
-    high: Float[np.ndarray, " n"],
-    rising: Bool[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """As `root_within`."""
-    low, high, rising = low[None], high[None], rising[None]
-    x = (low + high) / 2
-    for _ in range(MOST_ITERATIONS):
-        low, high, closer = closer_to_root(powers, low, high, rising, x)
-        moved, x = np.abs(closer - x).max(initial=0.0), closer
-        if not moved > AT_REST:
-            break
-    return x[0]
 
 
 def _gauss(

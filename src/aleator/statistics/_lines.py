@@ -26,6 +26,7 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
+from aleator.statistics._cubics import END, cubics_through, horner
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
 # Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
@@ -43,8 +44,8 @@ APART = 0.7  # cosine between minima that are told apart
 # about a thousandth of itself.
 STILL = 2.0**-10
 
-# The part of a line that counts, beyond which lies 3e-12. Cells of it by the number of variables.
-END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 150}, 33
+# Cells of a line by the number of variables.
+_CELLS, _FEWEST_CELLS = {1: 4096, 2: 150}, 33
 # Lines on a lattice by the number of variables; its replicates; of how many lines one is taken for paths; a distance
 # that counts as none.
 _ON_A_LATTICE, _TURNS, _COARSER, _NEAREST = {2: 512, 3: 2048}, 4, 4, 1e-9
@@ -258,24 +259,6 @@ def placed(
     parts = library.exp(logs - logs.max(axis=0, keepdims=True))
     weights = (parts[0] / library.sum(parts, axis=0)).reshape(replicates, count)
     return points, weights * (replicates / library.sum(weights))
-
-
-def cubics_through(values: Float[Any, "lines nodes"]) -> Float[Any, "4 lines cells"]:
-    """Hermite's cubics between nodes, with slopes by differences of fourth order; constant term first."""
-    library, values = in_library(values)
-    slopes = (8 * (values[:, 3:-1] - values[:, 1:-3]) - (values[:, 4:] - values[:, :-4])) / 12
-    values = values[:, 2:-2]
-    first, last, rise = slopes[:, :-1], slopes[:, 1:], library.diff(values, axis=1)
-    return library.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
-
-
-def horner(powers: Float[Any, "orders *lines"], x: Float[Any, "points *lines"]) -> Float[Any, "points *lines"]:
-    """The values of polynomials, each at its own points."""
-    library, powers, x = in_library(powers, x)
-    value = library.broadcast_to(powers[-1][None], x.shape)
-    for coefficient in powers[-2::-1]:
-        value = value * x + coefficient[None]
-    return value
 
 
 def unit(vectors: Float[Any, "variables n"]) -> Float[Any, "variables n"]:

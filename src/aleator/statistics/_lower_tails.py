@@ -15,9 +15,19 @@ import scipy
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar, in_library, quietly
+from aleator._core.arrays import Scalar, in_library
 from aleator._core.leaves import Module
-from aleator.statistics._lines import END, AnyLines, Lines, LinesInElements, LineValues, horner
+from aleator.statistics._cubics import (
+    AT_REST,
+    MOST_ITERATIONS,
+    beyond,
+    closer_to_root,
+    density_of,
+    extremum_within,
+    horner,
+    with_slope,
+)
+from aleator.statistics._lines import AnyLines, Lines, LinesInElements, LineValues
 from aleator.statistics._statistic import root
 
 # Of a search for a quantile: most steps, and the width of a bracket at which it ends.
@@ -26,12 +36,6 @@ MOST_STEPS, NARROW = 100, 1e-13
 NODES, WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
 NODES = NODES + 0.5
 
-# Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
-# this, after which the error of a simple root, which a step squares, is rounding.
-MOST_ITERATIONS, AT_REST = 30, 1e-9
-# At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
-# part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
-_AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 # An element varies by less than this part of the spread: not at all.
 CONSTANT = 1e-9
 
@@ -259,16 +263,6 @@ def bracket_of(level: Scalar, std: Scalar) -> tuple[Any, Any]:
     return -reach * library.sqrt((1 - level) / level), reach * library.sqrt(level / (1 - level))
 
 
-@quietly
-def extremum_within(slope: Float[Any, "*n"], bend: Float[Any, "*n"], rest: Float[Any, "*n"]) -> Float[Any, "*n"]:
-    """Where a cubic whose slopes at 0 and 1 have different signs has its extremum, by its higher powers."""
-    library, slope, bend, rest = in_library(slope, bend, rest)
-    radicand = library.sqrt(library.maximum(bend**2 - 3 * rest * slope, 0.0))
-    larger = -(bend + library.where(bend < 0, -1.0, 1.0) * radicand)
-    near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
-    return library.clip(library.where((near > 0) & (near < 1), near, far), 0.0, 1.0)
-
-
 def _shortfall(
     cubic: Float[Array, "4 ..."], start: Array, length: Array, first: Array, threshold: Array, step: float
 ) -> Array:
@@ -300,46 +294,6 @@ def root_within(
         return low, high, closer, jnp.any(jnp.abs(closer - x) > AT_REST), count + 1
 
     return jax.lax.while_loop(is_moving, narrow, (low, high, start, jnp.array(True), jnp.zeros((), int)))[2]
-
-
-def closer_to_root(powers: Any, low: Any, high: Any, rising: Any, x: Any) -> tuple[Any, Any, Any]:
-    """A step of `root_within`: the bracket, and the next place."""
-    library, powers, low, high, rising, x = in_library(powers, low, high, rising, x)
-    value, slope = with_slope(powers, x)
-    below = (value < 0) == rising
-    low, high = library.where(below, x, low), library.where(below, high, x)
-    newton = x - value / library.where(slope == 0, 1.0, slope)
-    edge = _AT_THE_EDGE * (high - low) + _ROUNDING
-    usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
-    return low, high, library.where(usable, library.clip(newton, low, high), (low + high) / 2)
-
-
-def with_slope(powers: Float[Any, "orders *lines"], x: Float[Any, "points *lines"]) -> tuple[Any, Any]:
-    """The values and first derivatives of polynomials, each at its own points."""
-    library, powers, x = in_library(powers, x)
-    value, slope = library.broadcast_to(powers[-1][None], x.shape), library.zeros(x.shape)
-    for coefficient in powers[-2::-1]:
-        slope = slope * x + value
-        value = value * x + coefficient[None]
-    return value, slope
-
-
-def _ratio(above: Any, below: Any) -> Any:
-    library, above, below = in_library(above, below)
-    return library.where(below == 0, 2.0, above / library.where(below == 0, 1.0, below))
-
-
-def density_of(at: Any) -> Any:
-    """The density of a standard normal variable."""
-    library, at = in_library(at)
-    return library.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
-
-
-def beyond(at: Any) -> Any:
-    """The probability of a normal variable beyond a number, where lines have their small values, as far as lines go."""
-    outside, (library, at) = math.erfc(END / math.sqrt(2)) / 2, in_library(at)
-    erfc = scipy.special.erfc if library is np else jax.lax.erfc
-    return (erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
 
 
 def normal_score(probability: Scalar) -> Array:
