@@ -40,11 +40,14 @@ def curve(points, end, degree):
 
 
 def test_a_plan_that_breaks_its_limits_between_too_few_instants_is_no_solution():
-    refused = al.solve(plan(), throw=False)
+    refused = al.solve(plan(), refine=False, throw=False)
     assert "limits break between the instants" in refused.verdict
     assert "between the instants of the grid 'angle_torque' exceeds" in refused.why()
     assert refused.certificate.between.worst > 1e-3
     assert al.solve(plan(), between=1).ok
+    finer = al.solve(plan())
+    assert finer.ok
+    assert finer.problem.grid.steps > plan().grid.steps
 
 
 def test_an_interruption_while_limits_are_tightened_is_not_swallowed(monkeypatch):
@@ -75,7 +78,7 @@ def test_a_plan_whose_torque_jumps_between_instants_holds_on_both_sides_of_the_j
 def test_the_sides_of_a_jump_are_continued_to_it():
     fine = np.arange(21.0)
     values = np.where(fine < 7.3, 2.0 + 0.1 * fine, -1.0 + 0.2 * fine)[:, None]
-    ((place, before, after),) = jumps(values, np.array([7.3 / 20]))
+    ((place, before, after),) = jumps(values, np.array([7.3]))
     assert place == pytest.approx(7.3)
     assert before == pytest.approx([2.73])
     assert after == pytest.approx([0.46])
@@ -112,7 +115,7 @@ def rippled(high=9e3, low=-9e3, peak=9e3, ripple=0.0, pulse=0.0, best=3.0):
 
 
 def answer(between=None, **options):
-    return al.solve(rippled(**options), between=between, throw=False)
+    return al.solve(rippled(**options), between=between, refine=False, throw=False)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -165,7 +168,7 @@ def test_a_pulse_between_instants_breaks_the_limit_of_a_path_and_of_its_peak():
 
 def test_margins_narrow_both_sides_of_a_limit_at_their_instants():
     transcribed, margins = transcribe(rippled(high=1.5, low=-1.0)), np.linspace(0.0, 0.2, 101)
-    margin = Margin(margins[:, None], np.zeros((101, 1), dtype=int))
+    margin = Margin(margins[:, None], {})
     high, low, peak = transcribed.rows
     narrower = tightened(transcribed, (margin, margin, None))
     np.testing.assert_allclose(narrower.constraint_upper[high], 1.5 - margins)
@@ -269,5 +272,59 @@ def test_a_control_that_is_constant_in_each_step_keeps_its_limit_at_both_ends_of
     ends = np.tril(decay ** (steps[:, None] - steps)) * (1 - decay)
     starts = np.vstack([np.zeros(8), ends[:-1]])
     rows = np.vstack([starts, ends]) + 0.5 * np.vstack([np.eye(8), np.eye(8)])
-    right = linprog(-ends[-1], rows, np.full(16, 0.6), bounds=(-1.0, 1.0))
-    assert al.solve(problem).objective == pytest.approx(right.fun, rel=1e-3)
+
+    def lowest(bound):
+        return linprog(-ends[-1], rows, np.full(16, bound), bounds=(-1.0, 1.0)).fun
+
+    solution = al.solve(problem)
+    assert solution.objective == pytest.approx(lowest(0.6), rel=1e-5)
+    price = (lowest(0.599) - lowest(0.601)) / 2e-3
+    assert solution.constraints[0].shadow_price == pytest.approx(price, rel=1e-3)
+
+
+class Driven(al.System):
+    """A unit mass on a rail, driven by a force, and the power that this takes."""
+
+    states = ("x", "v")
+
+    def rhs(self, t, z, force):
+        return z.v, force
+
+    def outputs(self, t, z, force):
+        return {"x": z.x, "v": z.v, "power": z.v * force}
+
+
+def furthest(bound, steps):
+    """How far it comes in two seconds from rest to rest with steps of force and no more power, by SciPy."""
+
+    def rolled(force):
+        v = np.concatenate([[0.0], np.cumsum(force)]) * 2.0 / steps
+        return np.sum(v[:-1] + v[1:]) / steps, v
+
+    limits = [
+        {"type": "eq", "fun": lambda force: rolled(force)[1][-1]},
+        {"type": "ineq", "fun": lambda force: bound - np.append(force * rolled(force)[1][1:], 0.0)},
+    ]
+    start = np.repeat([0.7, -0.7], steps // 2)
+    found = minimize(
+        lambda force: -rolled(force)[0], start, bounds=[(-2, 2)] * steps, constraints=limits, options={"ftol": 1e-11}
+    )
+    assert found.success
+    return -found.fun
+
+
+@pytest.mark.parametrize("steps", zoo.cases([8, 6, 12]))
+def test_a_limit_on_what_jumps_with_a_control_takes_a_finer_grid_and_costs_nothing(steps):
+    """The power before a jump depends on the speed there, which is zero at the start of the first step."""
+    problem = al.Problem(
+        Driven(),
+        grid=al.Grid(2.0, steps),
+        inputs={"force": al.Control(0.1, -2.0, 2.0, degree=0)},
+        minimize=-al.terminal("x").mean,
+        subject_to=[al.path("power").at_most(0.9), al.terminal("v").mean.equals(0.0)],
+    )
+    solution = al.solve(problem)
+    assert -solution.objective == pytest.approx(furthest(0.9, steps), rel=1e-6)
+    price = (furthest(0.901, steps) - furthest(0.899, steps)) / 2e-3
+    assert solution.constraints[0].shadow_price == pytest.approx(price, rel=1e-3)
+    assert solution.problem.grid.steps > steps

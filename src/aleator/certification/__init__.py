@@ -3,7 +3,7 @@
 from aleator.certification._between import Margins as Margins
 from aleator.certification._between import Shifts as Shifts
 from aleator.certification._between import excess_between as excess_between
-from aleator.certification._between import has_peaks as has_peaks
+from aleator.certification._between import limits_beside as limits_beside
 from aleator.certification._between import margins_for as margins_for
 from aleator.certification._between import narrows as narrows
 from aleator.certification._between import tightened as tightened
@@ -18,6 +18,7 @@ from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
 from aleator.certification._limits import OWN_ERROR as OWN_ERROR
+from aleator.certification._paths import Shift as Shift
 from aleator.certification._solution import Held as Held
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts

@@ -159,16 +159,16 @@ def magnitudes_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " v
     return [float(np.sqrt(np.max(weights @ samples**2))) for samples in each]
 
 
-def refinement(solutions: Sequence[Solution]) -> Problem | None:
+def refinement(solutions: Sequence[Solution], *, between: bool) -> Problem | None:
     """The problem on a finer grid that should meet the tolerance, judging by the last solution; None to end.
 
-    `solutions`: those on the grids so far, the coarsest first.
+    - `solutions`: those on the grids so far, the coarsest first;
+    - `between`: whether limits that break between the instants, or hold there at a high cost, are the only reason.
     """
     last, problem = solutions[-1], solutions[-1].problem
-    error = last.certificate.grid_error
-    between = last.certificate.between
-    is_enough = between is None or (between.holds and not between.is_costly)
-    if error is None or (error.is_met and is_enough) or last.status is not Status.SOLVED:
+    error, limits = last.certificate.grid_error, last.certificate.between
+    is_enough = limits is None or limits.is_enough
+    if error is None or ((between or error.is_met) and is_enough) or last.status is not Status.SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
     if isinstance(grid, Instant) or isinstance(begun, Instant):

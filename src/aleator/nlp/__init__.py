@@ -4,6 +4,7 @@ from aleator.nlp._elastic import Excess as Excess
 from aleator.nlp._elastic import least_excess as least_excess
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
+from aleator.nlp._peaks import End as End
 from aleator.nlp._peaks import Peak as Peak
 from aleator.nlp._peaks import extreme as extreme
 from aleator.nlp._peaks import with_peaks as with_peaks

@@ -1,7 +1,8 @@
-"""Programs that limit the peaks of a path between the rows that sample it.
+"""Programs that limit the peaks of a path between the rows that sample it, and its ends behind them.
 
 A limit at samples alone is exceeded between them. Were its bound tightened by that much, a multiplier would be no slope
-of the optimum: the excess depends on the design. A parabola through three rows follows its peak instead.
+of the optimum: the excess depends on the design. A parabola through three rows follows its peak instead, and one
+through the last rows before a jump the value there.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,30 @@ class Peak(NamedTuple):
     def at(self, constraints: Float[np.ndarray, " m"]) -> "Extreme":
         """What it limits."""
         return extreme(self.places, constraints[self.rows], self.side)
+
+
+class End(NamedTuple):
+    """Three rows and their weights. The middle one limits the weighted sum, what they tell of the path elsewhere."""
+
+    rows: Int[np.ndarray, " 3"]
+    weights: Float[np.ndarray, " 3"]
+
+    @classmethod
+    def of(cls, rows: Int[np.ndarray, " some"], places: Float[np.ndarray, " rows"], end: float) -> "End":
+        """The value at an `end` by the parabola through three rows, or by the straight line through two; the first of
+        them limits it.
+
+        - `places`: of all rows.
+        """
+        weights = np.zeros(3)
+        for i, own in enumerate(rows):
+            others = places[np.delete(rows, i)]
+            weights[i] = np.prod((end - others) / (places[own] - others))
+        return cls(rows[[1, 0, -1]], weights[[1, 0, 2]])
+
+    def at(self, constraints: Float[np.ndarray, " m"]) -> "Extreme":
+        """What it limits."""
+        return Extreme(float(self.weights @ constraints[self.rows]), self.weights, np.zeros(3), 0.0)
 
 
 class Extreme(NamedTuple):
@@ -58,8 +83,8 @@ def extreme(places: Float[np.ndarray, " 3"], values: Float[np.ndarray, " 3"], si
     return Extreme(float(weights @ values), weights, slope + 2 * place * curve, bend)
 
 
-def with_peaks(program: NonlinearProgram, peaks: Sequence[Peak]) -> NonlinearProgram:
-    """The program in which the middle rows of some peaks limit these."""
+def with_peaks(program: NonlinearProgram, peaks: Sequence[Peak | End]) -> NonlinearProgram:
+    """The program in which the middle rows of some peaks and ends limit these."""
     middles, hessian = np.array([one.rows[1] for one in peaks]), program.hessian
     mix = _Mix(peaks, program)
 
@@ -92,7 +117,7 @@ def with_peaks(program: NonlinearProgram, peaks: Sequence[Peak]) -> NonlinearPro
 class _Mix:
     """Jacobians whose middle rows are weighted sums of three; `sparsity`: theirs."""
 
-    def __init__(self, peaks: Sequence[Peak], program: NonlinearProgram):
+    def __init__(self, peaks: Sequence[Peak | End], program: NonlinearProgram):
         count, width, sparsity = len(program.constraint_lower), program.start.size, program.sparsity
         self._rows = np.array([one.rows for one in peaks])
         self.sparsity = sparsity
@@ -127,9 +152,9 @@ def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> Spars
     return scipy.sparse.csr_array((np.ones(len(keys), dtype=bool), keys % shape[1], ends), shape=shape)
 
 
-def _curved(program: NonlinearProgram, hessian: Hessian, peaks: Sequence[Peak]) -> Hessian:
+def _curved(program: NonlinearProgram, hessian: Hessian, every: Sequence[Peak | End]) -> Hessian:
     """Second derivatives with those of the peaks."""
-    size = program.start.size
+    size, peaks = program.start.size, [one for one in every if isinstance(one, Peak)]
 
     def keys_of(matrix: SparseMatrix) -> Int[np.ndarray, " entries"]:
         return np.repeat(np.arange(size), np.diff(matrix.indptr)) * size + matrix.indices
@@ -147,10 +172,11 @@ def _curved(program: NonlinearProgram, hessian: Hessian, peaks: Sequence[Peak]) 
 
     def evaluate(x: np.ndarray, weight: float, multipliers: np.ndarray) -> SparseMatrix:
         here, of_rows, numbers = program.evaluate(x), multipliers.copy(), np.zeros(len(keys))
-        of_rows[[one.rows[1] for one in peaks]] = 0.0
+        of_rows[[one.rows[1] for one in every]] = 0.0
+        for one in every:  # a straight line has one of two rows twice
+            np.add.at(of_rows, one.rows, multipliers[one.rows[1]] * one.at(here.constraints).weights)
         for peak, (columns, rows, others), where in zip(peaks, lowers, places, strict=True):
             one, multiplier = peak.at(here.constraints), multipliers[peak.rows[1]]
-            of_rows[peak.rows] += multiplier * one.weights
             along = np.asarray(one.moving @ here.jacobian[peak.rows])[columns]
             numbers[where] += multiplier * one.bend * along[rows] * along[others]
         numbers[begun] += hessian.evaluate(x, weight, of_rows).data

@@ -147,7 +147,9 @@ class Between(Printed):
     - `is_strict`: whether the design depends on what happens between instants: because bounds were tightened for it, or
       because the system follows trajectories. Evidence then counts violations on the finer grid too;
     - `cost`: how much worse the objective is than the optimum that holds at the instants alone, relative to the larger
-      of both: what tightening costs at most, since the best design lies between; zero where no bound is tightened.
+      of both: what tightening costs at most, since the best design lies between; zero where no bound is tightened;
+    - `is_coarse`: whether an output jumps and exceeds its limit there beside a single instant, which limits nothing but
+      its own value.
     """
 
     factor: int
@@ -156,6 +158,7 @@ class Between(Printed):
     time: float
     is_strict: bool = False
     cost: float = 0.0
+    is_coarse: bool = False
 
     @property
     def holds(self) -> bool:
@@ -167,9 +170,14 @@ class Between(Printed):
         """Whether bounds were tightened at instants so much that a finer grid may have a considerably better design."""
         return self.cost > COSTLY
 
+    @property
+    def is_enough(self) -> bool:
+        """Whether no finer grid would help."""
+        return np.isinf(self.worst) or (self.holds and not self.is_costly and not self.is_coarse)
+
     def __str__(self) -> str:
         if self.holds:
-            cost = f"{self.cost:.2g} of the objective: use more steps, or refine=True" if self.is_costly else ""
+            cost = f"{self.cost:.2g} of the objective: use more steps" if self.is_costly else ""
             tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if cost else ""
             nearly = f" to {self.worst:.1g} of their bounds" if self.worst > HELD else ""
             return f"limits over time hold{nearly} on {self.factor} times as many steps too{tightened}"
@@ -337,7 +345,7 @@ class Certificate(Printed):
         if self.indistinct:
             yield "a broken limit of zero is as small as rounding", f"solved, but {self.indistinct}"
         if between is not None and not between.holds:
-            remedy = "refine=True, or between=1 to check the instants alone"
+            remedy = "or between=1 to check the instants alone"
             yield "limits break between the instants", f"solved at the instants of the grid, but {between}, {remedy}"
         if error is not None and not error.is_usable:
             yield "the grid is too coarse", f"solved{f' on {error.steps} steps' if error.steps else ''}, but {error}"

@@ -19,6 +19,7 @@ from aleator.certification import (
     OWN_ERROR,
     Held,
     Margins,
+    Shift,
     Shifts,
     begin_check,
     check_factor,
@@ -71,7 +72,7 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
             scenarios = [*scenarios, *new]
             continue
         loosest = outcome.evaluation.objective if answer is None else loosest
-        cost = cost_of_margins(loosest, outcome.evaluation.objective)
+        cost = 0.0 if margins is None else cost_of_margins(transcribed, margins, loosest, outcome)
         held, shifts = zip(*_checked(stages, game, outcome, scenarios, cost, margins), strict=True)
         answer = outcome, scenarios, list(held)
         if not HELD < max(0.0 if one.between is None else one.between.worst for one in held) < np.inf:
@@ -148,7 +149,7 @@ def _checked(
 def _largest(shifts: Sequence[Shifts]) -> Shifts:
     """By how much bounds are to move for all scenarios."""
     return tuple(
-        None if some[0] is None else some[0]._replace(by=functools.reduce(np.maximum, (one.by for one in some)))
+        None if some[0] is None else Shift(functools.reduce(np.maximum, (one.by for one in some)), {})
         for some in zip(*shifts, strict=True)
     )
 

@@ -39,7 +39,7 @@ class Call(NamedTuple):
     deterministic_first: bool = False
     between: int | None = None
     accuracy: float = 1e-3
-    refine: bool = False
+    refine: bool | None = None
     executor: Executor | None = None
 
     @property
@@ -62,6 +62,8 @@ def check_arguments(call: Call) -> None:
     one_of("solve: deterministic_first", call.deterministic_first, bool)
     if call.between is not None:
         whole("solve: between", call.between)
+    if call.refine is not None:
+        one_of("solve: refine", call.refine, bool)
     if isinstance(accuracy, bool) or not isinstance(accuracy, int | float) or not _FINEST <= accuracy < 1:
         raise refusal("solve: accuracy", f"a number from {_FINEST:g} (64-bit arithmetic gives no more) to 1", accuracy)
     if isinstance(solver, AbstractSearch):
@@ -118,7 +120,7 @@ def solve(
     deterministic_first: bool = False,
     between: int | None = None,
     accuracy: float = 1e-3,
-    refine: bool = False,
+    refine: bool | None = None,
     executor: Executor | None = None,
     throw: bool = True,
 ) -> Solution:
@@ -138,14 +140,17 @@ def solve(
       its decisions and, where states are variables, the states. For problems that are hard to start: a way for one
       system is found sooner than for many. `solution.effort.at_means` tells how that ended;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
-      exceeded between two instants, the peak there is limited, or the bounds are tightened, until they hold; a solution
-      that exceeds one by more than a thousandth of it nevertheless has failed. 1 leaves that out. By default 11 for
-      systems that follow trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
+      exceeded between two instants, the peak there is limited, or the bounds are tightened, until they hold; where that
+      fails or is costly, the problem is solved again on a finer grid (see `refine`). A solution that exceeds a limit by
+      more than a thousandth of it nevertheless has failed. 1 leaves that out. By default 11 for systems that follow
+      trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
     - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. It
       is told by a finer grid and an integrator of another order. A solution whose objective is off by more than this
       part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;
     - `refine`: solve again on finer grids, each from the last solution, until the error is tolerated. The solution's
-      problem then has the finest grid;
+      problem then has the finest grid. By default only where limits over time need one: where they break between the
+      instants of this grid whatever the bounds there are, or hold by bounds that cost more than a twentieth of the
+      objective, as where outputs jump with a control. False keeps the grid;
     - `executor`: simulates the generations of a search without derivatives (see `al.pareto`), with the same result;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
@@ -201,17 +206,22 @@ def _solved_at_once(call: Call) -> Solution:
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = Stages(transcription, call.chosen_solver, call.between, call.accuracy, call.executor, heed)
+        settings = call.between, call.accuracy, call.executor
+        stages = Stages(transcription, call.chosen_solver, *settings, heed, keeps_grid=call.refine is False)
         at_means = None
         if call.deterministic_first and problem.placements.germs:
             stages, first, at_means = _from_means(stages, problem, first)
         solution, held = _answer(stages, problem, first, *known)
         solutions = [solution]
-        while call.refine and (plan := refinement(solutions)) is not None:
+        while call.refine is not False and (plan := refinement(solutions, between=not call.refine)) is not None:
             stages = stages._replace(transcription=stages.transcription.starting_from(solution))
-            solution, held = _answer(stages, plan, solution.vector)
+            further, with_further = _answer(stages, plan, solution.vector)
+            if solution.ok and not (further.ok or call.refine):
+                break
+            solution, held = further, with_further
             solutions.append(solution)
-        reason, solution = unconverged(solutions), solution if held is None else with_opinion(solution, held)
+        reason = unconverged(solutions) if call.refine else ""
+        solution = solution if held is None else with_opinion(solution, held)
         times = replace(solution.effort.times, compile_=Compiled.seconds - before)
         effort = replace(solution.effort, at_means=at_means, times=times)
         solution = replace(solution, effort=effort, message=reason or solution.message)

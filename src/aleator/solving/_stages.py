@@ -24,9 +24,9 @@ from aleator.certification import (
     diagnose,
     excess_between,
     grid_error,
-    has_peaks,
     idle_scenarios,
     is_checked,
+    limits_beside,
     magnitudes_at,
     margins_for,
     misled_at,
@@ -78,7 +78,8 @@ _ROUGH = 1e-4
 class Stages(NamedTuple):
     """The stages of a solution, the same on each grid: `between` and `accuracy` as in `solve`.
 
-    `heed`: raises if the user interrupts; `executor`: simulates the generations of searches.
+    `heed`: raises if the user interrupts; `executor`: simulates the generations of searches; `keeps_grid`: whether no
+    answer on a finer grid follows.
     """
 
     transcription: AbstractTranscription
@@ -87,6 +88,7 @@ class Stages(NamedTuple):
     accuracy: float
     executor: Executor | None
     heed: Callable[[], None]
+    keeps_grid: bool
 
     def answer(
         self,
@@ -261,6 +263,8 @@ class Stages(NamedTuple):
         if factor == 1 or not self.judges_between(transcribed.problem):
             return held._replace(check=check)
         between, shifts = excess_between(check)
+        if between.is_coarse and not self.keeps_grid:
+            return held._replace(between=between, check=check)
         best, loosest, cost = (outcome, check, between), outcome.evaluation.objective, 0.0
         rounds, margins, latest = [outcome], None, between
         while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
@@ -275,7 +279,7 @@ class Stages(NamedTuple):
             latest, shifts = excess_between(check)
             rounds.append(again)
             if latest.worst <= best[2].worst:
-                best, cost = (again, check, latest), cost_of_margins(loosest, again.evaluation.objective)
+                best, cost = (again, check, latest), cost_of_margins(transcribed, margins, loosest, again)
             elif best[2].holds:
                 break  # Tighter bounds may make the plan bulge more between them.
         answer, check, between = best
@@ -287,14 +291,15 @@ class Stages(NamedTuple):
         return self._with_peaks(held, loosest, margins, factor) if is_tightened else held
 
     def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> Held:
-        """An answer that margins hold, with peaks limited: it does not depend on where the instants are, and its
-        multipliers are slopes of the optimum. The same answer where that is not close by, as where limits have kinks.
+        """An answer that margins hold, with peaks limited, and values beside jumps: it does not depend on where the
+        instants are, and its multipliers are slopes of the optimum. The same answer where that is not close by, as
+        where limits have kinks.
         """
         local = replace(self.solver.local, max_iterations=_MOST_STEPS)
         transcribed, check, rounds = held.transcribed, held.check, [held.outcome]
         while check is not None and len(rounds) <= _MOST_EXCHANGES:
             margins = margins_for(margins, excess_between(check, margins, at_peaks=True)[1], relax=True)
-            if not has_peaks(margins):
+            if not limits_beside(margins):
                 break
             again = self._replace(solver=local)._going_on(transcribed, rounds[-1], margins)
             rounds.append(again)
@@ -303,8 +308,7 @@ class Stages(NamedTuple):
             check = begin_check(transcribed, again.point, factor)()
             between, _ = excess_between(check)
             if between.worst <= HELD:
-                cost = cost_of_margins(loosest, again.evaluation.objective) if narrows(transcribed, margins) else 0.0
-                between = replace(between, is_strict=True, cost=cost)
+                between = replace(between, is_strict=True, cost=cost_of_margins(transcribed, margins, loosest, again))
                 return held._replace(outcome=again.with_effort_of(*rounds[:-1]), between=between, check=check)
             if not between.holds:
                 break
@@ -338,9 +342,12 @@ class Stages(NamedTuple):
         return held._replace(worst_case=worst_case)
 
 
-def cost_of_margins(loosest: float, tightest: float) -> float:
+def cost_of_margins(transcribed: AbstractTranscribed, margins: Margins, loosest: float, outcome: Outcome) -> float:
     """How much worse an objective is by bounds that were tightened, relative to the larger one."""
-    return (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
+    tightest = outcome.evaluation.objective
+    if not (tightest > loosest and narrows(transcribed, margins)):
+        return 0.0
+    return (tightest - loosest) / max(abs(loosest), abs(tightest))
 
 
 def looked_around(

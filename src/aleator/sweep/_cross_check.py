@@ -86,7 +86,7 @@ def cross_check(
     second: AbstractTranscription | None = None,
     solvers: tuple[AbstractSolver | None, AbstractSolver | None] = (None, None),
     tolerance: float = 1e-4,
-    refine: bool = False,
+    refine: bool | None = None,
     most_states: int = 20_000,
     progress: Progress = silent,
 ) -> CrossChecked:
@@ -95,7 +95,7 @@ def cross_check(
     - `first`, `second`: by default shooting, and direct collocation by Hermite and Simpson's scheme;
     - `solvers`: of each; those that suit them by default;
     - `tolerance`: the relative difference of objective and statistics that is accepted;
-    - `refine`: whether the grid of each is refined until its own error is tolerated;
+    - `refine`: whether the grid of each is refined until its own error is tolerated, see `solve`;
     - `most_states`: the budget of direct collocation, whose program has the states of all realisations at all points of
       its first mesh as variables: 1000 of them take some seconds, 5000 half a minute, 100 000 hours and gigabytes.
 
