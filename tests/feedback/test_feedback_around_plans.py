@@ -165,7 +165,12 @@ class Steered(Cart):
     ("lower", "upper", "gain", "said"),
     zoo.cases(
         [
-            (-60.0, -20.0, 1.0, r"errors grow by .* with all 12 values of feedback\.gains .* within their bounds: widen"),
+            (
+                -60.0,
+                -20.0,
+                1.0,
+                r"errors grow by .* with all 12 values of feedback\.gains .* their bounds: widen",
+            ),
             (20.0, 60.0, al.Uniform(0.2, half_width=0.5), "In the system with .*gain = -0.3.* with all 12 values"),
             (-60.0, 20.0, 1.0, ""),
             (-np.inf, -20.0, 1.0, "errors grow by .* with all 12 values"),
