@@ -156,22 +156,41 @@ def test_a_limit_on_a_path_that_is_certain_at_its_start_is_confirmed():
     assert float(al.solve(problem).decisions["gain"]) == pytest.approx(1.0, abs=1e-6)
 
 
+class Bowl(al.AlgebraicSystem):
+    first: al.Number
+    away: al.Number
+    factor: al.Number
+
+    def outputs(self):
+        return {"bowl": self.factor * (self.first - self.away) ** 2}
+
+
+def test_what_is_smooth_is_designed_in_one_element():
+    """`E(u - a)² = (a - 1/2)² + 1/12` is least at the middle, whatever an unknown factor is."""
+    for factor in (1.0, al.Interval(0.5, 1.0)):
+        bowl = Bowl(al.Uniform.bounds(0.0, 1.0), al.Decision(0.3, 0.0, 1.0), factor)
+        solution = al.solve(al.Problem(bowl, minimize=al.output("bowl").mean, expansion=al.MultiElement(2)))
+        assert solution.certificate.expansion.elements == 1
+        assert (solution.decisions["away"], solution.objective) == pytest.approx((0.5, 1 / 12), abs=1e-7)
+
+
 class Threshold(al.AlgebraicSystem):
     """What is 1 above a threshold, and something that grows with it."""
 
     load: al.Number
     threshold: al.Number
     width: float | None = None
+    rate: al.Number = 0.2
 
     def outputs(self):
         above = self.load - self.threshold
         jump = jnp.where(above > 0, 1.0, 0.0) if self.width is None else al.smooth.step(above, width=self.width)
-        return {"cost": jump + 0.2 * self.threshold, "bowl": jump + 5 * (self.threshold - 0.6) ** 2}
+        return {"cost": jump + self.rate * self.threshold, "bowl": jump + 5 * (self.threshold - 0.6) ** 2}
 
 
-def with_threshold(output, threshold, width=None):
+def with_threshold(output, threshold, width=None, rate=0.2):
     return al.Problem(
-        Threshold(al.Uniform.bounds(0.0, 1.0), threshold, width),
+        Threshold(al.Uniform.bounds(0.0, 1.0), threshold, width, rate),
         minimize=al.output(output).mean,
         expansion=al.MultiElement(2, error=1e-3),
     )
@@ -187,6 +206,12 @@ def test_a_jump_that_a_decision_moves_is_followed_where_it_is_smooth_and_refused
     # Inside its bounds `1 - d + 5 (d - 0.6)²` is least at 0.7, where derivatives at fixed points say 0.6.
     with pytest.raises(al.SolveError, match="leave out how a jump moves"):
         al.solve(with_threshold("bowl", al.Decision(0.0, 0.0, 1.0)))
+
+
+def test_a_jump_that_a_decision_moves_is_refused_beside_an_interval_too():
+    low = al.Decision(0.5, 0.5, 0.9)
+    with pytest.raises(al.SolveError, match="leave out how a jump moves"):
+        al.solve(with_threshold("cost", low, rate=al.Interval(0.1, 0.2)))
 
 
 @pytest.mark.slow

@@ -275,7 +275,7 @@ def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers()
 @pytest.mark.slow
 def test_a_jump_that_stays_two_events_at_once_and_one_that_is_only_touched_are_told_too():
     refused(Stopped(), al.Grid(1.0, 10), "stays at 'floor'", "t = 0.4515 s")
-    refused(Parts(), al.Grid(1.0, 10), "and another event at the same time", "t = 0.4515 s")
+    refused(Parts(), al.Grid(1.0, 10), "meets 'floor' and 'wall' at the same time", "t = 0.4515 s")
     refused(Shot(), al.Grid(until="ground", at_most=2.0, steps=9), "never meets 'ground'", "from 0 to 2 s")
     refused(Grazing(), al.Grid(until="ceiling", at_most=2.0, steps=9), "'ceiling'")
 

@@ -100,5 +100,5 @@ def test_adaptive_steps_say_the_same_of_what_has_no_simulation(integrator):
     refused(Ball(0.5), al.Grid(3.0, 12), "meets 'floor' again and again", "e=0.5", "t = 1.3", integrator=integrator)
     refused(Shot(angle=-0.7), LANDED, "starts at 'ground'", "angle=-0.7", integrator=integrator)
     refused(Stopped(), al.Grid(1.0, 10), "stays at 'floor'", "t = 0.4515 s", integrator=integrator)
-    refused(Parts(), al.Grid(1.0, 10), "and another event at the same time", "t = 0.4515 s", integrator=integrator)
+    refused(Parts(), al.Grid(1.0, 10), "'floor' and 'wall' at the same time", "t = 0.4515 s", integrator=integrator)
     refused(Grazing(), al.Grid(until="ceiling", at_most=2.0, steps=9), "'ceiling'", integrator=integrator)

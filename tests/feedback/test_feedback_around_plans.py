@@ -165,17 +165,24 @@ class Steered(Cart):
     ("lower", "upper", "gain", "said"),
     zoo.cases(
         [
-            (-60.0, -20.0, 1.0, "errors grow by .* with all 12 gains .* within their bounds: widen these"),
-            (20.0, 60.0, al.Uniform(0.2, half_width=0.5), "In the system with .*gain = -0.3.* with all 12 gains"),
+            (
+                -60.0,
+                -20.0,
+                1.0,
+                r"errors grow by .* with all 12 values of feedback\.gains .* their bounds: widen",
+            ),
+            (20.0, 60.0, al.Uniform(0.2, half_width=0.5), "In the system with .*gain = -0.3.* with all 12 values"),
             (-60.0, 20.0, 1.0, ""),
+            (-np.inf, -20.0, 1.0, "errors grow by .* with all 12 values"),
+            (-np.inf, np.inf, 1.0, ""),
         ],
         first=1,
     ),
-    ids=["every system", "one system", "some gains"],
+    ids=["every system", "one system", "some gains", "one bound", "no bounds"],
 )
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")  # of a design that is none
 def test_a_search_that_fails_says_that_all_gains_within_their_bounds_destabilise(lower, upper, gain, said):
-    gains = al.Decision(np.full(2, lower), lower, upper)
+    gains = al.Decision(np.full(2, max(lower, -60.0)), lower, upper)
     declared = plan(0.005, feedback=al.Feedback(gains=gains, of=("x", "v")))
     system = Steered(m=1.0, gain=gain)
     problem = al.Problem(

@@ -82,6 +82,10 @@ def inverse(motion, model=Matrices):
             lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque * (1 + v))),
             "independent of the velocities",
         ),
+        (
+            lambda: type("Crane", (al.Lagrangian,), {"__annotations__": {"load": al.Number}}),
+            "Crane.load: .* has a method of that name, which the field would hide",
+        ),
         (lambda: problem(changed(actuator_names=("motor",))), r"\['motor'\] do not say along which velocity"),
         (
             lambda: problem(al.ForwardDynamics(Matrices(m_2=al.Uniform(1.0, half_width=1.2)))),

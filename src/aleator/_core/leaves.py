@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 import importlib
+import inspect
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, Self, TypeVar
@@ -26,6 +27,18 @@ class Module(eqx.Module):
     """
 
     __getattribute__ = object.__getattribute__
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse a field with the name of a method that it would hide, such as the `load` of an `al.Lagrangian`."""
+        super().__init_subclass__(**options)
+        for name in inspect.get_annotations(cls):
+            ours = (base for base in cls.__mro__[1:] if base.__module__.startswith("aleator."))
+            hidden = next((base for base in ours if inspect.isfunction(vars(base).get(name))), None)
+            if hidden is not None and not callable(vars(cls).get(name)):
+                raise ProblemError(
+                    f"{cls.__name__}.{name}: {hidden.__name__} has a method of that name, which the field would hide: "
+                    "give the field another name."
+                )
 
     @property
     def is_declared(self) -> bool:

@@ -84,7 +84,7 @@ def _zone_of(distribution: AbstractDistribution) -> Zone:
     if np.isfinite([lower, upper]).all():
         return Zone(lower, upper)
     middle, reach = float(distribution.mean()), SIGMAS * float(distribution.std())
-    return Zone(middle - reach, middle + reach)
+    return Zone(max(middle - reach, lower), min(middle + reach, upper))
 
 
 def _given(distribution: AbstractDistribution, tolerance: Any) -> Zone:
@@ -211,7 +211,7 @@ def tolerance_analysis(
     - `lower`, `upper`: the limits of the output, in its unit;
     - `tolerances`: the zone of each dimension for the worst case, half-widths or (minus, plus), by name. By default the
       zone of a `Toleranced` distribution, the support of a bounded distribution, and three standard deviations of
-      others;
+      others, as far as their support reaches;
     - `expansion`: default order 3.
 
     Returns a `ToleranceAnalysis`, which prints as a table.

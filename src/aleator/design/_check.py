@@ -57,8 +57,9 @@ from aleator.uncertainty import (
 
 # Quantile at which unbounded variables are tried, on either side: one realisation in a billion lies beyond.
 _TAIL = 1e-9
-# Part of the names of decided gains; the most corners of their bounds at which they are tried, and points inside.
-_GAINS, _CORNERS, _INSIDE = ".feedback.gains.", 16, 8
+# Part of the names of decided gains; the most corners of their bounds at which they are tried, and points inside; how
+# far one without a bound is tried, in the largest gain.
+_GAINS, _CORNERS, _INSIDE, _FAR = ".feedback.gains.", 16, 8, 10.0
 
 
 def check(problem: AbstractProblem) -> None:
@@ -232,11 +233,14 @@ def destabilised(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -
     there are none or some do not. A linearisation at the start of the plan tells it.
     """
     places = problem.placements
-    gains = [np.r_[place.where] for name, place in places.decisions.items() if _GAINS in f".{name}."]
-    where = np.concatenate([np.zeros(0, int), *gains])
-    lower, upper = (places.vector(end)[where] for end in ("lower", "upper"))
-    if not where.size or not np.isfinite([lower, upper]).all():
+    gains = {name: np.r_[place.where] for name, place in places.decisions.items() if _GAINS in f".{name}."}
+    if not gains:
         return ""
+    where = np.concatenate([*gains.values()])
+    lower, upper, first = (places.vector(one)[where] for one in ("lower", "upper", "initial"))
+    # A gain without a bound is tried far away on that side.
+    far = _FAR * max(1.0, *np.abs(first), *np.abs(decisions[where]))
+    lower, upper = np.where(np.isfinite(lower), lower, -far), np.where(np.isfinite(upper), upper, far)
     generator = np.random.default_rng(0)
     tried = np.concatenate([corners_of(len(where), _CORNERS, generator), generator.random((_INSIDE, len(where)))])
     others = np.tile(decisions, (len(tried), 1))
@@ -245,7 +249,8 @@ def destabilised(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -
         said = simulation.system.destabilised(simulation.grid)
         same = (next(itertools.islice(_systems(problem, one), i, None))[0] for one in others)
         if said and all(one.system.destabilised(one.grid) for one in same):
-            return f"{said}{who} So it is with all {len(tried)} gains that were tried within their bounds: widen these."
+            all_of = f"all {len(tried)} values of {', '.join(gains)} that were tried within their bounds"
+            return f"{said}{who} So it is with {all_of}: widen these."
     return ""
 
 

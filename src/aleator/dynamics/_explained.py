@@ -43,16 +43,19 @@ def explain_course(
     if kind == GIVEN_UP:
         return given_up(one, float(t))
     if kind > 0 and not t > end:
-        return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t))}"
+        others = [f"'{name}'" for i, name in enumerate(names) if i != int(event)]
+        other = others[0] if len(others) == 1 else f"one of {', '.join(others)}"
+        return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t), other=other)}"
     if np.isnan(end):
         return (
             f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
-            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
+            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it. "
+            "A function that only touches zero does not cross it."
         )
     if missing := [name for name in names if name in events and not times[name] <= end]:
         return (
             f"{who} never meets '{missing[0]}', which is asked for by al.at, from {float(grid.t_start):.4g} to "
-            f"{end:.4g} s."
+            f"{end:.4g} s. Take a longer grid, or bound the distributions and decisions that lead past it."
         )
     return ""
 
@@ -118,7 +121,7 @@ _FAULTS = {
         "direction."
     ),
     TOGETHER: (
-        "meets '{name}' and another event at the same time, t = {t:.4g} s, where their order decides. Make one event "
+        "meets '{name}' and {other} at the same time, t = {t:.4g} s, where their order decides. Make one event "
         "of both, or let them happen one after the other."
     ),
     STAYS: (

@@ -143,7 +143,9 @@ class Division(Module):
         parts = parts if first else parts * factors
         constants = library.tensordot(mirror, parts[:, :1], axes=1)
         parts = library.concatenate([constants, parts[:, 1:]], axis=1)
-        return jax_array(parts / factors if first else parts.reshape(-1, *parts.shape[2:]))
+        # Not by -1: there may be nothing in each.
+        whole = parts.shape[0] * parts.shape[1], *parts.shape[2:]
+        return jax_array(parts / factors if first else parts.reshape(whole))
 
 
 @final
