@@ -13,6 +13,10 @@ from aleator._core.arrays import in_library, quietly
 END = 7.0
 """How far lines count, in standard deviations. Beyond it lies 3e-12."""
 
+# Gauss's rule from 0 to 1.
+NODES, WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
+NODES = NODES + 0.5
+
 # Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
 # this, after which the error of a simple root, which a step squares, is rounding.
 MOST_ITERATIONS, AT_REST = 30, 1e-9
@@ -104,3 +108,33 @@ def beyond(at: Any) -> Any:
     outside, (library, at) = math.erfc(END / math.sqrt(2)) / 2, in_library(at)
     erfc = scipy.special.erfc if library is np else jax.lax.erfc
     return (erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
+
+
+def integrals_of_powers(
+    start: Float[np.ndarray, "*parts"],
+    length: Float[np.ndarray, "*parts"],
+    first: Float[np.ndarray, "*cells"],
+    step: float,
+) -> Float[np.ndarray, "4 *parts"]:
+    """The integrals of the powers of the place over parts of cells, by Gauss's rule; the first is the probability."""
+    total = np.zeros((4, *start.shape))
+    for node, weight in zip(NODES, WEIGHTS, strict=True):
+        place = start + node * length
+        density = weight * length * step * density_of(first + place * step)
+        total += density * place ** np.arange(4).reshape(-1, *[1] * place.ndim)
+    return total
+
+
+def by_values(by_cubics: Float[np.ndarray, "4 lines cells"]) -> Float[np.ndarray, "lines nodes"]:
+    """Derivatives by the values at nodes from those by the cubics through them: the transpose of `cubics_through`."""
+    constant, linear, square, cube = by_cubics
+    rise, first, last = 3 * square - 2 * cube, linear - 2 * square + cube, cube - square
+    lines, cells = constant.shape
+    values, slopes = np.zeros((lines, cells + 5)), np.zeros((lines, cells + 1))
+    values[:, 2:-3] += constant - rise
+    values[:, 3:-2] += rise
+    slopes[:, :-1] += first
+    slopes[:, 1:] += last
+    for shift, factor in ((3, 8), (1, -8), (4, -1), (0, 1)):
+        values[:, shift : shift + cells + 1] += factor / 12 * slopes
+    return values

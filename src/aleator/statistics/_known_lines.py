@@ -1,10 +1,12 @@
 """An expansion with known coefficients at points of the normal variables, by NumPy, as `Lines` has it for programs."""
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
 from aleator.statistics._cubics import horner
-from aleator.statistics._lines import APART, DESCENTS, LAST, MINIMA, SEARCHED, TABLED, Lines, unit
+from aleator.statistics._lines import APART, DESCENTS, LAST, MINIMA, ON_A_LATTICE, SEARCHED, TABLED, Lines, unit
 
 # Points are evaluated for so many at once, for the cache.
 _TOGETHER = 2**11
@@ -73,6 +75,22 @@ def minima_of(lines: Lines, coefficients: Float[np.ndarray, " terms"]) -> Float[
         heights = (coefficients @ terms_at(lines, moved)).reshape(variables, MINIMA)
         minima, values = unit(minima - unit(np.imag(heights) / _IMAGINARY)), np.real(heights[0])
     return minima[:, np.argsort(values, kind="stable")]
+
+
+def is_whole_lattice(lines: Lines) -> bool:
+    """Whether these are lines of few variables, for one output: all of a lattice."""
+    variables, *count = lines.normals.shape
+    return ON_A_LATTICE.get(variables) == math.prod(count)
+
+
+def axis_of(lines: Lines, coefficients: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "variables 1"]:
+    """The axis of the variable in which the expansion has the largest linear part, in the sense in which it falls."""
+    variables = len(lines.table)
+    # Places of factors begin with those of degree zero, which count nothing, then come the linear ones.
+    place = lines.factors.sum(axis=0)
+    linear = np.bincount(place, coefficients, 2 * variables)[variables : 2 * variables]
+    axis = np.argmax(np.abs(linear))
+    return np.where(linear[axis] > 0, -1.0, 1.0) * np.eye(variables)[:, [axis]]
 
 
 def blocks(count: int) -> list[slice]:

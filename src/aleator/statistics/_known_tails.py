@@ -5,6 +5,7 @@ other programs.
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, NamedTuple, final
 
 import jax
@@ -16,14 +17,16 @@ from typing_extensions import override
 from aleator._core.arrays import quietly
 from aleator.statistics._cubics import (
     beyond,
+    by_values,
     cubics_through,
     density_of,
     extremum_within,
     horner,
+    integrals_of_powers,
     known_root_within,
     with_slope,
 )
-from aleator.statistics._known_lines import blocks, minima_of, terms_at, values_at
+from aleator.statistics._known_lines import axis_of, blocks, is_whole_lattice, minima_of, terms_at, values_at
 from aleator.statistics._lines import (
     CENTRE,
     LAST,
@@ -40,12 +43,14 @@ from aleator.statistics._lower_tails import (
     EQUAL,
     MOST_STEPS,
     NARROW,
-    NODES,
-    WEIGHTS,
     TailByLines,
     bracket_of,
     error_of,
 )
+
+# Lines run along a variable too where the others state a larger error of a probability, and count if they differ from
+# these by no more than so many such errors.
+_DOUBTFUL, _COVERED = 1e-8, 2
 
 # The width of a cell of the tables of germ variables, in standard deviations.
 _CELL = 2 * LAST / TABLED
@@ -80,6 +85,14 @@ class _Cut(NamedTuple):
     length: Float[np.ndarray, " crossings"] = np.zeros(0)
 
 
+class _Place(NamedTuple):
+    """A threshold, with its derivatives by the coefficients if it is a quantile, and the output there."""
+
+    threshold: float
+    cut: _Cut
+    slopes: Float[np.ndarray, " terms"] = np.zeros(0)
+
+
 class _AbstractKnownTail(abc.ABC):
     """What lies below a threshold, of an output with mean zero, or of its negative. Slopes are by its coefficients."""
 
@@ -101,7 +114,7 @@ class _AbstractKnownTail(abc.ABC):
     def error(self, at: _Cut) -> float:
         """The 95 % half-width of the probability below a threshold."""
 
-    def quantile(self, level: float) -> tuple[float, Float[np.ndarray, " terms"], _Cut]:
+    def quantile(self, level: float) -> _Place:
         """The quantile, by `AbstractLowerTail`'s search."""
         target, off = float(scipy.special.ndtri(level)), np.inf
         low, high = bracket_of(level, self.std)
@@ -119,8 +132,8 @@ class _AbstractKnownTail(abc.ABC):
         value, slopes = self.below(last, cut)
         density = self.slope(off, cut)
         if not density > 0:
-            return last, np.zeros(slopes.shape), cut
-        return last - (value - level) / density, -slopes / density, cut
+            return _Place(last, cut, np.zeros(slopes.shape))
+        return _Place(last - (value - level) / density, cut, -slopes / density)
 
     def slope(self, off: float, cut: _Cut) -> float:
         """The density at a quantile; zero where it is one of many systems at once."""
@@ -137,9 +150,10 @@ class _KnownTailByLines(_AbstractKnownTail):
     - `masses`: the probability of each on its line.
     """
 
-    def __init__(self, signed: Float[np.ndarray, " terms"], lines: Lines):
+    def __init__(self, signed: Float[np.ndarray, " terms"], lines: Lines, *, is_axial: bool = False):
+        """`is_axial`: the lines run along a germ variable, not to where the output is smallest."""
         self.signed, self.lines, self.std = signed, lines, float(np.sqrt(np.sum(signed**2)))
-        minima = unit(np.round(minima_of(lines, signed) / STILL) * STILL)
+        minima = axis_of(lines, signed) if is_axial else unit(np.round(minima_of(lines, signed) / STILL) * STILL)
         self.direction = minima[:, 0]
         self.points, weights = placed(lines.normals, self.direction, CENTRE * minima)
         self.share = weights.ravel() / len(weights)
@@ -218,12 +232,12 @@ class _KnownTailByLines(_AbstractKnownTail):
         parts = np.flatnonzero(at.inside)
         line, cell = np.append(self.line[parts], at.line), np.append(self.cell[parts], at.cell)
         start, length = np.append(self.left[parts], at.start), self.right[parts] - self.left[parts]
-        every = _gauss(start, np.append(length, at.length), self.lines.first_of(cell), self.lines.step)
+        every = integrals_of_powers(start, np.append(length, at.length), self.lines.first_of(cell), self.lines.step)
         shape = self.cubics.shape
         places, size = line * self.lines.cells + cell, shape[1] * shape[2]
         powers = np.stack([np.bincount(places, each, size) for each in every]).reshape(shape)
         powers = self.share[:, None] * powers
-        by_node = -_by_values(powers).ravel()
+        by_node = -by_values(powers).ravel()
         each = [terms_at(self.lines, self.nodes[:, some]) @ by_node[some] for some in blocks(len(by_node))]
         return float(threshold * np.sum(powers[0]) - np.sum(powers * self.cubics)), np.sum(each, axis=0)
 
@@ -278,15 +292,15 @@ class _KnownTailInElements(_AbstractKnownTail):
         return float(np.sqrt(np.sum((self.share * np.array(each)) ** 2)))
 
     @override
-    def quantile(self, level: float) -> tuple[float, Float[np.ndarray, " terms"], _Cut]:
+    def quantile(self, level: float) -> _Place:
         """One that many systems share, as those of a stop do, moves with their elements, which are constant."""
-        quantile, slopes, cut = super().quantile(level)
+        quantile, cut, slopes = super().quantile(level)
         rest = np.sqrt(np.sum(self.signed[:, 1:] ** 2, axis=1))
         away = np.maximum(np.abs(self.signed[:, 0] - quantile), rest)
         shares = np.where(away <= CONSTANT * self.std, self.share, 0.0)
         moved = np.zeros(self.signed.shape)
         moved[:, 0] = shares / max(float(np.sum(shares)), np.finfo(float).tiny)
-        return quantile, slopes + self._by_whole(moved), cut
+        return _Place(quantile, cut, slopes + self._by_whole(moved))
 
     @override
     def slope(self, off: float, cut: _Cut) -> float:
@@ -301,10 +315,29 @@ class KnownDistribution:
         self.coefficients, self.lines = coefficients, lines
         self.rest = np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
 
-    def _side(self, *, is_lower: bool) -> tuple[float, _AbstractKnownTail]:
-        sign = 1.0 if is_lower else -1.0
-        kind: Any = _KnownTailInElements if isinstance(self.lines, LinesInElements) else _KnownTailByLines
-        return sign, kind(sign * self.rest, self.lines)
+    def _side(
+        self, search: Callable[[_AbstractKnownTail], _Place], *, is_lower: bool
+    ) -> tuple[float, _AbstractKnownTail, _Place]:
+        """The sign of a tail, the tail, and the threshold that is sought in it, along lines with the smaller error.
+
+        Where the output bends, lines to its smallest values meet a threshold twice, or touch it, even if it rises all
+        along one of the variables: lines along this variable meet it once, if they find as much within what the others
+        may be off by.
+        """
+        sign, lines = 1.0 if is_lower else -1.0, self.lines
+        if isinstance(lines, LinesInElements):
+            elements = _KnownTailInElements(sign * self.rest, lines)
+            return sign, elements, search(elements)
+        tail = _KnownTailByLines(sign * self.rest, lines)
+        place = search(tail)
+        error = tail.error(place.cut)
+        if not (is_whole_lattice(lines) and error > _DOUBTFUL):
+            return sign, tail, place
+        axial = _KnownTailByLines(sign * self.rest, lines, is_axial=True)
+        again = search(axial)
+        moved = abs(again.threshold - place.threshold) * place.cut.density
+        agrees = abs(again.cut.below - place.cut.below) + moved <= _COVERED * error
+        return (sign, axial, again) if agrees and axial.error(again.cut) < error else (sign, tail, place)
 
     def _slopes(self, by_mean: float, by_others: Float[np.ndarray, " terms"]) -> Float[np.ndarray, " terms"]:
         return np.where(np.arange(len(by_others)) > 0, by_others, by_mean)
@@ -313,9 +346,9 @@ class KnownDistribution:
         """The probability of more than a value, or of less."""
         rounding = EQUAL * float(np.sqrt(np.sum(self.coefficients**2)))
         off = float(value) - float(self.coefficients[0]) + (rounding if above != or_equal else -rounding)
-        sign, tail = self._side(is_lower=off < 0)
-        at = tail.cut(sign * off)
-        beyond, slopes = tail.below(sign * off, at)
+        threshold = -abs(off)
+        sign, tail, (_, at, _) = self._side(lambda tail: _Place(threshold, tail.cut(threshold)), is_lower=off < 0)
+        beyond, slopes = tail.below(threshold, at)
         # By the mean, from the density; by what follows, through the sign of the tail's own coefficients.
         slopes = self._slopes(-sign * at.density, sign * slopes)
         is_beyond = (off < 0) != above
@@ -330,8 +363,7 @@ class KnownDistribution:
         """The value that the output stays below with a probability."""
         is_lower = float(level) < 0.5
         own = float(level) if is_lower else 1 - float(level)
-        sign, tail = self._side(is_lower=is_lower)
-        quantile, slopes, at = tail.quantile(own)
+        sign, tail, (quantile, at, slopes) = self._side(lambda tail: tail.quantile(own), is_lower=is_lower)
         share = tail.error(at)
         error = abs(quantile) if share > own / 2 else share / at.density if at.density > 0 else 0.0
         return Known(float(self.coefficients[0]) + sign * quantile, error, self._slopes(1.0, slopes))
@@ -341,8 +373,7 @@ class KnownDistribution:
         level = float(level)
         is_lower = level < 0.5
         own = level if is_lower else 1 - level
-        sign, tail = self._side(is_lower=is_lower)
-        quantile, moving, at = tail.quantile(own)
+        sign, tail, (quantile, at, moving) = self._side(lambda tail: tail.quantile(own), is_lower=is_lower)
         shortfall, slopes = tail.shortfall(quantile, at)
         # The quantile contributes where many systems share it: else as much lies below as the level says.
         below, slopes = quantile - shortfall / own, moving * (1 - at.below / own) - slopes / own
@@ -351,33 +382,3 @@ class KnownDistribution:
         slope = abs(factor * below - quantile) / (level if lower else 1 - level)
         value = float(self.coefficients[0]) + sign * factor * below
         return Known(value, tail.error(at) * slope, self._slopes(1.0, factor * slopes))
-
-
-def _gauss(
-    start: Float[np.ndarray, "*parts"],
-    length: Float[np.ndarray, "*parts"],
-    first: Float[np.ndarray, "*cells"],
-    step: float,
-) -> Float[np.ndarray, "4 *parts"]:
-    """The integrals of the powers of the place over parts of cells, by Gauss's rule; the first is the probability."""
-    total = np.zeros((4, *start.shape))
-    for node, weight in zip(NODES, WEIGHTS, strict=True):
-        place = start + node * length
-        density = weight * length * step * density_of(first + place * step)
-        total += density * place ** np.arange(4).reshape(-1, *[1] * place.ndim)
-    return total
-
-
-def _by_values(by_cubics: Float[np.ndarray, "4 lines cells"]) -> Float[np.ndarray, "lines nodes"]:
-    """Derivatives by the values at nodes from those by the cubics through them: the transpose of `cubics_through`."""
-    constant, linear, square, cube = by_cubics
-    rise, first, last = 3 * square - 2 * cube, linear - 2 * square + cube, cube - square
-    lines, cells = constant.shape
-    values, slopes = np.zeros((lines, cells + 5)), np.zeros((lines, cells + 1))
-    values[:, 2:-3] += constant - rise
-    values[:, 3:-2] += rise
-    slopes[:, :-1] += first
-    slopes[:, 1:] += last
-    for shift, factor in ((3, 8), (1, -8), (4, -1), (0, 1)):
-        values[:, shift : shift + cells + 1] += factor / 12 * slopes
-    return values

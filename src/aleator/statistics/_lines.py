@@ -6,9 +6,10 @@ lines is that of a smooth function (Griewank, Kuo, Leövey and Sloan, 2018, High
 jumps). Every germ variable is a function of a standard normal one, at equal probability. Lines run in the direction in
 which the output is smallest at a distance of some standard deviations, so that a single line gives the result for an
 output that is nearly linear in the tail. Across it, lines of two or three variables lie on a lattice, whose error falls
-exponentially for smooth outputs. Others lie where a mixture of normal distributions puts them: the given one, two wider
-ones, and one around each of several such minima; the ratio of the densities is the weight of a line (importance
-sampling; Owen and Zhou, 2000, on mixtures that keep the given distribution).
+exponentially for smooth outputs; where these err, others run along a variable (`KnownDistribution`). Others lie where a
+mixture of normal distributions puts them: the given one, two wider ones, and one around each of several such minima;
+the ratio of the densities is the weight of a line (importance sampling; Owen and Zhou, 2000, on mixtures that keep the
+given distribution).
 """
 
 import math
@@ -48,7 +49,7 @@ STILL = 2.0**-10
 _CELLS, _FEWEST_CELLS = {1: 4096, 2: 150}, 33
 # Lines on a lattice by the number of variables; its replicates; of how many lines one is taken for paths; a distance
 # that counts as none.
-_ON_A_LATTICE, _TURNS, _COARSER, _NEAREST = {2: 512, 3: 2048}, 4, 4, 1e-9
+ON_A_LATTICE, _TURNS, _COARSER, _NEAREST = {2: 512, 3: 2048}, 4, 4, 1e-9
 
 # Paths of more entries than this are evaluated by fewer lines, and in part by points.
 SINGLE = 4
@@ -135,7 +136,7 @@ class Lines(Module):
     def coarser(self) -> "Lines":
         """Some replicates of the lines, or a sparser lattice."""
         _, normals = in_library(self.normals)
-        if len(normals) > max(_ON_A_LATTICE):
+        if len(normals) > max(ON_A_LATTICE):
             return replace(self, normals=jax_array(normals[:, : REPLICATES // _COARSER]))
         if len(normals) > 1:
             normals = normals[:, 0].reshape(len(normals), _TURNS, -1)
@@ -242,7 +243,7 @@ def placed(
     mirror = unit(np.eye(variables)[:, -1:] - direction[:, None])[:, 0]
     flat = normals.reshape(variables, -1)
     flat = flat - 2 * library.outer(mirror, mirror @ flat)
-    if variables <= max(_ON_A_LATTICE):
+    if variables <= max(ON_A_LATTICE):
         distance = library.maximum(library.sqrt(library.sum(normals**2, axis=0)), _NEAREST)
         even = library.arcsinh(distance)
         weights = library.exp(-(distance**2) / 2) * library.cosh(even) * (distance / even) ** (variables - 2)
@@ -357,8 +358,8 @@ def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of
     """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, or a lattice, across the last axis."""
     if variables == 1:
         return np.zeros((1, 1, 1))
-    if variables in _ON_A_LATTICE:
-        across = _lattice(variables - 1, _ON_A_LATTICE[variables])
+    if variables in ON_A_LATTICE:
+        across = _lattice(variables - 1, ON_A_LATTICE[variables])
     else:
         parts = []
         for seed, size in enumerate(_SIZES):

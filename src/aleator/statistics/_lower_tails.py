@@ -20,6 +20,8 @@ from aleator._core.leaves import Module
 from aleator.statistics._cubics import (
     AT_REST,
     MOST_ITERATIONS,
+    NODES,
+    WEIGHTS,
     beyond,
     closer_to_root,
     density_of,
@@ -32,9 +34,6 @@ from aleator.statistics._statistic import root
 
 # Of a search for a quantile: most steps, and the width of a bracket at which it ends.
 MOST_STEPS, NARROW = 100, 1e-13
-
-NODES, WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
-NODES = NODES + 0.5
 
 # An element varies by less than this part of the spread: not at all.
 CONSTANT = 1e-9

@@ -1,0 +1,117 @@
+"""Probabilities in few variables: to 1e-8 where an output rises along one of them, elsewhere within their error."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import special, stats
+from small_expansions import basis_of, coefficients_of_polynomial, prepare
+
+import aleator as al
+from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, lines_through, sloped
+from aleator.uncertainty import HermiteGerm
+
+GRAVITY, SPEED, ANGLE, HEIGHT = 9.81, (20.0, 0.3), (0.785, 0.1), (3.0, 0.3)
+
+
+def flight(at):
+    """How far a ball flies that is thrown from a height."""
+    forward, upward = at["speed"] * jnp.cos(at["angle"]), at["speed"] * jnp.sin(at["angle"])
+    return forward / GRAVITY * (upward + jnp.sqrt(upward**2 + 2 * GRAVITY * at["height"]))
+
+
+def normal(mean, std):
+    return al.Normal(mean, std), stats.norm(mean, std)
+
+
+def uniform(mean, std):
+    reach = np.sqrt(3) * std
+    return al.Uniform(mean, half_width=reach), stats.uniform(mean - reach, 2 * reach)
+
+
+def rule(distribution, nodes=400):
+    """Gauss's rule over 7.5 standard deviations, or over the support."""
+    low, high = (distribution.mean() + side * 7.5 * distribution.std() for side in (-1, 1))
+    low, high = max(low, distribution.ppf(0.0)), min(high, distribution.ppf(1.0))
+    at, weights = special.roots_legendre(nodes)
+    at = (low + high) / 2 + (high - low) / 2 * at
+    return at, distribution.pdf(at) * weights * (high - low) / 2
+
+
+def chance_of_more(distance, speed, angle, height):
+    """The probability of a longer flight: the speed for a distance in closed form, the other two by Gauss."""
+    (angles, by_angle), (heights, by_height) = rule(angle), rule(height)
+    angles = angles[:, None]
+    needed = np.sqrt(GRAVITY * distance**2 / (2 * np.cos(angles) ** 2 * (distance * np.tan(angles) + heights)))
+    return by_angle @ speed.sf(needed) @ by_height
+
+
+CASES = {
+    "normal": (normal, normal, normal),
+    "normal speed, others uniform": (normal, uniform, uniform),
+}
+
+
+@functools.cache
+def expanded(*kinds):
+    numbers = {"speed": SPEED, "angle": ANGLE, "height": HEIGHT}
+    both = {name: kind(*own) for kind, (name, own) in zip(kinds, numbers.items(), strict=True)}
+    inputs, oracles = ({name: one[k] for name, one in both.items()} for k in (0, 1))
+    return al.expand(flight, inputs, al.Expansion(10, points=al.points.GaussPoints())), oracles
+
+
+@pytest.mark.parametrize("kinds", CASES)
+def test_the_flight_of_a_ball_with_three_uncertain_numbers_has_eight_digits(kinds):
+    """At the angle of the longest flight, along which the output turns: lines along the speed find all of it."""
+    made, oracles = expanded(*CASES[kinds])
+    mean, std, lines = float(made.mean), float(made.std), lines_through(made.basis)
+    for away in (-1.0, 1.0):
+        distance = mean + away * std
+        right = chance_of_more(distance, **oracles)
+        estimate, error = Probability(above=distance).estimated(made.coefficients, lines)
+        assert float(estimate) == pytest.approx(right, abs=1e-8)
+        assert float(error) < 1e-6
+    assert float(made.quantile(1 - right)) == pytest.approx(distance, abs=1e-7 * std)
+
+
+def test_mean_and_spread_of_the_flight_have_eight_digits():
+    made, oracles = expanded(normal, normal, normal)
+    axes = [rule(oracles[name], nodes=100) for name in ("speed", "angle", "height")]
+    speed, angle, height = np.meshgrid(*(at for at, _ in axes), indexing="ij")
+    values = np.asarray(flight({"speed": speed, "angle": angle, "height": height}))
+    mean, square = (np.einsum("ijk,i,j,k", power, *(by for _, by in axes)) for power in (values, values**2))
+    assert float(made.mean) == pytest.approx(mean, rel=1e-8)
+    assert float(made.std) == pytest.approx(np.sqrt(square - mean**2), rel=1e-8)
+
+
+def test_where_the_speed_that_is_needed_leaves_its_support_errors_cover():
+    made, oracles = expanded(uniform, uniform, uniform)
+    mean, std, lines = float(made.mean), float(made.std), lines_through(made.basis)
+    for away in (-1.5, 0.0):
+        estimate, error = Probability(above=mean + away * std).estimated(made.coefficients, lines)
+        assert 1e-6 < float(error) < 1e-3
+        assert float(estimate) == pytest.approx(chance_of_more(mean + away * std, **oracles), abs=float(error))
+
+
+@pytest.mark.parametrize("threshold", [1.0, 5.0])
+def test_outside_of_a_circle_to_which_lines_return_errors_cover(threshold):
+    """The linear part is along one variable, which crosses the circle twice: non-central chi-square."""
+    basis = basis_of([HermiteGerm()] * 2, 2)
+    coefficients = coefficients_of_polynomial(basis, lambda a, b: a**2 + a + b**2)
+    kind = Probability(above=threshold)
+    estimate, error = (float(one) for one in kind.estimated(coefficients, prepare([kind], basis).of(kind)))
+    assert estimate == pytest.approx(stats.ncx2(2, 0.25).sf(threshold + 0.25), abs=error)
+    assert error < 2e-3
+
+
+def test_slopes_by_lines_along_a_variable_are_those_of_differences():
+    basis = basis_of([HermiteGerm()] * 3, 2)
+    coefficients = np.asarray(coefficients_of_polynomial(basis, lambda a, b, c: a - b**2 + 0.2 * a * c + 0.1 * c))
+    lines, direction = lines_through(basis), np.random.default_rng(0).normal(size=coefficients.shape)
+    for kind in (Probability(above=0.3), Quantile(0.3), ConditionalValueAtRisk(0.7)):
+        known = sloped(kind, coefficients[:, None], lines)
+        ahead, behind = (
+            float(sloped(kind, (coefficients + step * direction)[:, None], lines).values[0]) for step in (1e-4, -1e-4)
+        )
+        assert known.slopes[:, 0] @ direction == pytest.approx((ahead - behind) / 2e-4, rel=1e-5)
