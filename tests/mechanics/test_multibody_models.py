@@ -1,8 +1,13 @@
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from double_pendulum import simulate
 from mujoco_trees import Tree
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import aleator as al
 from aleator.joints import Ball, Free, Prismatic, Revolute
@@ -100,3 +105,158 @@ def test_trees_on_simple_joints_are_diagnosed_without_a_program_and_other_models
             raised = al.InverseDynamics(Raised(mass), motion={"height": level})
             assert raised.diagnose(grid) == ""
     assert len(programs) == 1
+
+
+# --- A free rigid body as a mechanical system of one's own, and bodies on joints, by quaternions ----------------------
+
+
+INERTIA = np.array([0.5, 1.1, 1.7])
+SPIN = np.array([0.9, 2.1, -0.6])
+TILT = Rotation.from_euler("ZYX", [0.4, -0.3, 0.7])
+GRID = al.Grid(1.0, 500)
+BODY = ("body_x", "body_y", "body_z")
+
+
+class Body(al.Mechanical):
+    """Euler's equations in the body's axes, whatever the coordinates are."""
+
+    velocity_names = BODY
+    actuator_names = ("couple_x", "couple_y", "couple_z")
+
+    inertia: al.Number = (0.5, 1.1, 1.7)
+
+    def mass_matrix(self, q):
+        return jnp.diag(jnp.array(self.inertia))
+
+    def forces(self, q, v):
+        return jnp.cross(v, jnp.array(self.inertia) * v)
+
+    def actuation(self, q):
+        return np.eye(3)
+
+
+class Quaternion(Body):
+    """Of length one, its real part first."""
+
+    names = ("w", "x", "y", "z")
+
+    def velocity_map(self, q):
+        w, x, y, z = q
+        return 0.5 * jnp.array([[-x, -y, -z], [w, -z, y], [z, w, -x], [-y, x, w]])
+
+    def normalised(self, q):
+        return q / jnp.linalg.norm(q)
+
+
+@cache
+def tumbling():
+    start = dict(zip(Quaternion.names, 2.5 * TILT.as_quat(scalar_first=True), strict=True))
+    return simulate(al.ForwardDynamics(Quaternion(), start=start | dict(zip(BODY, SPIN, strict=True))), GRID)
+
+
+def rotations(found):
+    return Rotation.from_quat(np.stack([found[name] for name in "wxyz"], axis=1), scalar_first=True)
+
+
+def test_a_body_without_torque_spins_by_euler_s_equations():
+    def rates(t, v):
+        return -np.cross(v, INERTIA * v) / INERTIA
+
+    found = tumbling()
+    spin = np.stack([found[name] for name in BODY], axis=1)
+    expected = solve_ivp(rates, (0, 1), SPIN, "DOP853", GRID.fractions, rtol=1e-12, atol=1e-12).y.T
+    np.testing.assert_allclose(spin, expected, rtol=0, atol=1e-8)
+    assert np.ptp(spin, axis=0).min() > 0.1
+    momentum = rotations(found).apply(INERTIA * spin)
+    np.testing.assert_allclose(momentum, np.tile(TILT.apply(INERTIA * SPIN), (501, 1)), rtol=0, atol=1e-8)
+
+
+def test_quaternions_are_of_length_one_in_outputs_and_their_rates_along_the_sphere():
+    found = tumbling()
+    q, q_dot, q_ddot = (np.stack([found[name + end] for name in "wxyz"], 1) for end in ("", "_rate", "_acceleration"))
+    np.testing.assert_allclose((q**2).sum(axis=1), 1.0, rtol=1e-13)
+    np.testing.assert_allclose((q * q_dot).sum(axis=1), 0.0, rtol=0, atol=1e-13)
+    np.testing.assert_allclose((q * q_ddot + q_dot**2).sum(axis=1), 0.0, rtol=0, atol=1e-12)
+    h = 1 / 500
+    np.testing.assert_allclose(q_dot[1:-1], (q[2:] - q[:-2]) / (2 * h), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(q_ddot[1:-1], (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2, rtol=0, atol=1e-4)
+
+
+def test_velocities_of_a_prescribed_motion_are_those_of_its_rotation():
+    points = 0.4 * np.random.default_rng(4).normal(size=(8, 4)) + np.eye(4)[0]
+    found = simulate(al.InverseDynamics(Quaternion(), motion=al.BSpline(points, degree=5)), al.Grid(2.0, 2000))
+    turned, h = rotations(found), 1e-3
+    spin = np.stack([found[name] for name in BODY], axis=1)
+    # Turns from each instant to both beside it, in its own axes.
+    ahead, behind = ((turned[1:-1].inv() * one).as_rotvec() for one in (turned[2:], turned[:-2]))
+    np.testing.assert_allclose(spin[1:-1], (ahead - behind) / (2 * h), rtol=0, atol=5e-5 * np.abs(spin).max())
+    rate = np.stack([found[f"{name}_rate"] for name in BODY], axis=1)
+    slope = (spin[2:] - spin[:-2]) / (2 * h)
+    np.testing.assert_allclose(rate[1:-1], slope, rtol=0, atol=1e-4 * np.abs(rate).max())
+    torque = np.stack([found[f"couple_{axis}"] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(torque, INERTIA * rate + np.cross(spin, INERTIA * spin), rtol=1e-9, atol=1e-9)
+    torque_rate = np.stack([found[f"couple_{axis}_rate"] for axis in "xyz"], axis=1)[1:-1]
+    slope = (torque[2:] - torque[:-2]) / (2 * h)
+    np.testing.assert_allclose(torque_rate, slope, rtol=0, atol=1e-3 * np.abs(torque_rate).max())
+
+
+class Top(al.Multibody):
+    gravity = (0.0, 0.0, 0.0)
+
+    def bodies(self):
+        return (al.Body("b", joint=al.joints.Ball(), mass=1.0, inertia=(0.1, 0.2, 0.25)),)
+
+
+class Flyer(al.Multibody):
+    """A free base with a head, which motors turn."""
+
+    gravity = (0.0, 0.0, 0.0)
+    actuators = ("head_omega_x_torque", "head_omega_y_torque", "head_omega_z_torque")
+
+    def bodies(self):
+        head = {"position": (0.2, 0.0, 0.1), "center": (0.5, 0.0, 0.1), "inertia": (0.1, 0.1, 0.12)}
+        return (
+            al.Body("base", joint=al.joints.Free(), mass=10.0, center=(0.1, 0.05, 0.0), inertia=(1.0, 1.2, 1.4)),
+            al.Body("head", parent="base", joint=al.joints.Ball(), mass=1.0, **head),
+        )
+
+
+def test_components_of_a_quaternion_that_a_start_leaves_out_are_those_of_no_turn():
+    start = al.ForwardDynamics(Top(), start={"b_x": 0.05}).initial()["q"]
+    np.testing.assert_allclose(start, np.array([1.0, 0.05, 0.0, 0.0]) / np.hypot(1.0, 0.05), rtol=1e-15)
+    half_turn = al.ForwardDynamics(Top(), start={"b_w": 0.0, "b_x": 0.05}).initial()["q"]
+    np.testing.assert_allclose(half_turn, [0.0, 1.0, 0.0, 0.0])
+
+
+@pytest.mark.slow
+def test_a_free_base_answers_a_head_of_any_quaternion_so_that_the_momentum_stays():
+    model, grid = Flyer(), al.Grid(1.0, 100)
+    motion = {
+        "head_w": al.PowerSeries(start=(1.0, 0.0), end=(2.0, 0.1)),
+        "head_x": al.PowerSeries(start=(0.0, 0.3), end=(0.5, 0.0)),
+        "head_y": al.PowerSeries(start=(0.3,)),
+        "head_z": al.PowerSeries(start=(0.1, 0.3), end=(1.0, 0.0)),
+    }
+    start = {"base_qx": 0.2, "base_x_rate": 0.1, "base_omega_y": 0.3}
+    found = simulate(al.HybridDynamics(model, motion=motion, start=start, torque_rates=False), grid)
+    raw = np.stack([np.asarray(one.values(grid.fractions, 1.0)) for one in motion.values()], 1)
+    head = np.stack([found[name] for name in motion], 1)
+    np.testing.assert_allclose(head, raw / np.linalg.norm(raw, axis=1, keepdims=True), rtol=0, atol=1e-13)
+    q, v = (np.stack([found[name] for name in names], 1) for names in (model.coordinates, model.speeds))
+    rates = [name.replace("_rate", "_acceleration") if "_rate" in name else f"{name}_rate" for name in model.speeds]
+    v_dot = np.stack([found[name] for name in rates], 1)
+
+    @compiled
+    @jax.vmap
+    def seen(q, v, v_dot):
+        points = model.point(q, "base", (0.1, 0.05, 0.0)), model.point(q, "head", (0.5, 0.0, 0.1))
+        return model.inverse_dynamics(q, v, v_dot), *points
+
+    force, base, end = map(np.asarray, seen(q, v, v_dot))
+    np.testing.assert_allclose(force[:, :6], 0.0, rtol=0, atol=1e-12)
+    torque = np.stack([found[name] for name in model.actuators], 1)
+    np.testing.assert_allclose(force[:, 6:], torque, rtol=1e-9, atol=1e-11)
+    # The centre of mass goes straight on.
+    centre = (10 * base + end) / 11
+    straight = centre[0] + np.linspace(0, 1, 101)[:, None] * (centre[-1] - centre[0])
+    np.testing.assert_allclose(centre, straight, rtol=0, atol=1e-9)

@@ -1,10 +1,28 @@
 """What is refused as a number, a distribution, a decision or a dimension, and why: by one table for each subject."""
 
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator._core.errors import ProblemError
+from aleator.uncertainty import (
+    Decision,
+    HermiteGerm,
+    Toleranced,
+    at_means,
+    fields_of,
+    named_numbers,
+    placements,
+    realise,
+    refuse_nonpositive,
+    toleranced,
+)
+from compiling import compiled
 
 
 def bell(x):
@@ -99,3 +117,157 @@ def test_decisions_shared_under_one_name_reach_only_the_corners_that_they_share(
     distribution = al.Beta(mean=k, std=0.1, lower=0.0, upper=al.Decision(9.0, 6.0, 10.0))
     assert len(list(distribution.corners())) == 4
     assert list(al.Gamma(mean=k, std=k).corners()) == [{"mean": 1.0, "std": 1.0}, {"mean": 5.0, "std": 5.0}]
+
+
+# --- Numbers declared positive ----------------------------------------------------------------------------------------
+
+
+class Mass(eqx.Module):
+    m: Any = al.parameter("kg", positive=True)
+    offset: Any = al.parameter("m", default=0.0)
+
+
+class Holder(eqx.Module):
+    inside: Any
+    count: int = eqx.field(static=True, default=0)
+
+
+class Whole(NamedTuple):
+    system: Any
+    inputs: Any
+
+
+REACH_ZERO = {
+    "zero": 0.0,
+    "array": np.array([1.0, 0.0]),
+    "normal": al.Normal(10.0, 0.001),
+    "uniform that touches zero": al.Uniform(1.0, half_width=1.0),
+    "decision": al.Decision(1.0, 0.0, 2.0),
+    "decided both": al.Uniform(al.Decision(3.0, 2.0, 5.0), half_width=al.Decision(1.0, 0.5, 2.0)),
+    "beta with decided lower end": al.Beta(mean=1.5, std=0.1, lower=al.Decision(1.0, 0.0, 1.2), upper=2.0),
+    "lognormal": al.LogNormal(mean=1.0, std=0.5, lower=-0.1),
+    "truncated normal with decided end": al.TruncatedNormal(1.0, 0.5, lower=al.Decision(0.1, 0.0, 0.2)),
+    "sample": al.Sample([1.0, 2.0], location=al.Decision(0.0, -2.0, 0.0)),
+    "held at its mean": at_means(al.Uniform(1.0, half_width=2.0)),
+}
+STAY_POSITIVE = {
+    "array": np.array([1.0, 0.1]),
+    "beta whose decided spread may nearly vanish": al.Beta(
+        mean=0.5, std=al.Decision(0.1, 1e-6, 0.2), lower=al.Decision(0.1, 0.1, 0.2), upper=1.0
+    ),
+    "gamma whose decided spread may nearly vanish": al.Gamma(mean=2.0, std=al.Decision(0.1, 1e-6, 0.2), lower=0.1),
+    "decided uniform": al.Uniform(al.Decision(3.0, 2.0, 5.0), half_width=al.Decision(1.0, 0.5, 1.999)),
+    "no numbers": np.zeros(0),
+    "a function": abs,
+    "lognormal": al.LogNormal(mean=al.Decision(1.0, 0.5, 2.0), std=0.5),
+}
+
+
+def test_what_can_reach_zero_is_refused_by_name():
+    for value in REACH_ZERO.values():
+        with pytest.raises(ProblemError, match="'m' must stay positive"):
+            refuse_nonpositive(Mass(value))
+
+
+def test_what_stays_positive_is_let_through_and_other_fields_may_be_anything():
+    for value in STAY_POSITIVE.values():
+        refuse_nonpositive(Mass(value, offset=al.Normal(-5.0, 3.0)))
+
+
+def test_positive_fields_are_found_anywhere_in_a_model_and_the_lowest_value_is_told():
+    for model, message in [
+        ([Mass(1.0), Mass(al.Uniform(1.0, half_width=1.5))], r"^'1.m' must stay .*half_width=1.5\) can reach -0.5"),
+        (
+            Holder({"a": (Mass(al.Normal(1e6, 1.0)),)}),
+            r"^'inside.a.0.m' must stay .* below\. Write TruncatedNormal\(location=1000000, scale=1, lower=999994\)",
+        ),
+        (
+            [Mass(al.TruncatedNormal(22e3, 1500.0, upper=23e3))],
+            r"Write TruncatedNormal\(location=22000, scale=1500, lower=13000, upper=23000\)",
+        ),
+        ([Mass(al.Normal(3.0, 1.0))], r"Write LogNormal\(mean=3, std=1\), which has the same mean"),
+        ([Mass(al.Normal(-3.0, 1.0))], "Give a distribution above zero"),
+        ([Mass(al.Normal(al.Decision(3.0, 1.0, 5.0), 1.0))], "Raise its lower bound, or those of the decisions in it"),
+        (Whole(Mass("heavy"), {}), "^'system.m' must stay .*expected a number.*received str 'heavy'"),
+    ]:
+        with pytest.raises(ProblemError, match=message):
+            refuse_nonpositive(model)
+
+
+def test_units_are_found_with_the_fields():
+    units = {name: field.metadata.get("unit") for name, field, _ in fields_of(Holder(Mass(1.0)))}
+    assert units == {"inside": None, "count": None, "inside.m": "kg", "inside.offset": "m"}
+
+
+# --- Dimensions with limits -------------------------------------------------------------------------------------------
+
+
+# distribution, mean, standard deviation, limits
+CASES = {
+    "clutch hub": (Toleranced(27.645, tolerance=0.05), 27.645, 0.05 / 3, (27.595, 27.695)),
+    "by capability": (Toleranced(27.645, tolerance=0.05, cp=1.25), 27.645, 0.1 / 7.5, (27.595, 27.695)),
+    "by sigma level": (Toleranced(27.645, tolerance=0.05, sigmas=6), 27.645, 0.05 / 6, (27.595, 27.695)),
+    "asymmetric": (Toleranced(27.645, plus=0.05, minus=0.02), 27.66, 0.07 / 6, (27.625, 27.695)),
+    "off centre, low": (
+        Toleranced(10.0, plus=0.4, minus=0.2, cp=2.0, cpk=1.5, towards="lower"),
+        10.025,
+        0.05,
+        (9.8, 10.4),
+    ),
+    "outside its zone": (Toleranced(10.0, tolerance=0.3, cp=1.0, cpk=-1.0), 10.6, 0.1, (9.7, 10.3)),
+}
+
+
+def test_mean_spread_limits_and_capability_are_those_computed_by_hand():
+    germs = np.array([-3.0, -0.5, 2.3])
+    program = compiled(lambda: [jax.vmap(one.value)(jnp.asarray(germs)) for one, *_ in CASES.values()])
+    for (distribution, mean, std, limits), values in zip(CASES.values(), program(), strict=True):
+        assert float(distribution.mean()) == pytest.approx(mean, rel=1e-14)
+        assert float(distribution.std()) == pytest.approx(std, rel=1e-12)
+        assert tuple(map(float, distribution.limits())) == pytest.approx(limits, rel=1e-14)
+        assert distribution.germ() == HermiteGerm()
+        assert distribution.support() == (-np.inf, np.inf)
+        assert np.asarray(values) == pytest.approx(mean + std * germs, rel=1e-13)
+        # cpk is the distance to the nearer limit in three standard deviations.
+        capability = distribution.parameters.get("cp", distribution.parameters.get("sigmas", 3.0) / 3)
+        cpk = min(limits[1] - mean, mean - limits[0]) / (3 * std)
+        assert cpk == pytest.approx(distribution.parameters.get("cpk", capability), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("text", "parameters"),
+    [
+        ("27.645 +0.05/-0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645 -0.02/+0.05", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645+0.05-0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645 +0.05 \N{MINUS SIGN}0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("20 -0.007/-0.028", {"nominal": 20.0, "plus": -0.007, "minus": 0.028}),
+        ("8 0/-0.1", {"nominal": 8.0, "plus": 0.0, "minus": 0.1}),
+        ("27.645 ±0.05", {"nominal": 27.645, "tolerance": 0.05}),
+        ("11.43 +/- 0.01", {"nominal": 11.43, "tolerance": 0.01}),
+        ("1.5e-3 +/- 1e-5", {"nominal": 1.5e-3, "tolerance": 1e-5}),
+    ],
+)
+def test_a_drawings_text_is_read_in_its_usual_forms(text, parameters):
+    distribution = toleranced(text, cp=1.33)
+    assert distribution.parameters == pytest.approx(parameters | {"cp": 1.33}, rel=1e-15)
+    assert toleranced(text).parameters["cp"] == 1.0
+    with pytest.raises(ProblemError, match="without a unit"):
+        toleranced(f"{text} V")
+
+
+def test_a_decided_tolerance_is_a_number_of_the_model_and_sets_the_spread():
+    model = {"a": Toleranced(27.645, tolerance=Decision(0.05, 0.005, 0.2), cp=1.25), "c": toleranced("11.43 ±0.01")}
+    places = placements(model)
+    assert tuple(places.decisions) == ("a.tolerance",)
+    numbers = named_numbers(model, jnp.array([0.1]))
+    assert float(numbers["a.tolerance"]) == 0.1
+    assert float(numbers["a.std"]) == pytest.approx(0.1 / 3.75, rel=1e-13)
+    real = realise(model, jnp.array([1.5, -1.0]), jnp.array([0.1]))
+    assert float(real["a"]) == pytest.approx(27.645 + 1.5 * 0.1 / 3.75, rel=1e-14)
+    assert float(real["c"]) == pytest.approx(11.43 - 0.01 / 3, rel=1e-14)
+
+
+def test_sharing_keeps_the_side_to_which_the_process_is_shifted():
+    distribution = Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=1.5, towards="lower").shared("d")
+    assert float(distribution.mean()) == pytest.approx(9.925, rel=1e-14)
