@@ -1,8 +1,5 @@
 """The answer to a problem: its design, and what certifies it."""
 
-from aleator.solution._certificate import COSTLY as COSTLY
-from aleator.solution._certificate import TOLERATED as TOLERATED
-from aleator.solution._certificate import Between as Between
 from aleator.solution._certificate import Certificate as Certificate
 from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
 from aleator.solution._certificate import Moments as Moments
@@ -12,7 +9,10 @@ from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase
 from aleator.solution._certificate import WorstRealisation as WorstRealisation
 from aleator.solution._certificate import ends as ends
+from aleator.solution._grid import COSTLY as COSTLY
 from aleator.solution._grid import MOST_NUMBERS as MOST_NUMBERS
+from aleator.solution._grid import TOLERATED as TOLERATED
+from aleator.solution._grid import Between as Between
 from aleator.solution._grid import Costates as Costates
 from aleator.solution._grid import Deviation as Deviation
 from aleator.solution._grid import GridError as GridError

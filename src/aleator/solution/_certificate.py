@@ -1,4 +1,4 @@
-"""How far an answer can be trusted: expansions, limits between instants, worst cases, fresh simulations; all in one."""
+"""How far an answer can be trusted: expansions, worst cases, fresh simulations; all in one, with its grid."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from aleator._core.leaves import Printed
 from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
-from aleator.nlp import HELD
-from aleator.solution._grid import GridError, Smoothing, lines, system_text
+from aleator.solution._grid import Between, GridError, Smoothing, lines, system_text
 
 
 @final
@@ -126,67 +125,6 @@ class ExpansionQuality(Printed):
         return (
             f"{divided}order {self.order}, {self.terms} terms, {self.points} points, condition number "
             f"{self.condition_number:.3g}, worst leave-one-out error {self.worst:.2e}"
-        )
-
-
-TOLERATED = 1e-3
-"""Largest relative excess of a limit between instants with which a design still counts as a solution."""
-
-COSTLY = 0.05
-"""The largest cost of margins that is accepted without a warning."""
-
-
-@final
-@dataclass(frozen=True)
-class Between(Printed):
-    """The worst excess of a limit over time between the instants, found on a finer grid.
-
-    - `factor`: how many times as many steps that grid has;
-    - `worst`: the excess relative to the bound, or to the constraint's scale if the bound is zero; zero if all hold;
-    - `name`: the constraint that is exceeded most; `time`: when (s), NaN for a peak;
-    - `is_strict`: whether the design depends on what happens between instants: because bounds were tightened for it, or
-      because the system follows trajectories. Evidence then counts violations on the finer grid too;
-    - `cost`: how much worse the objective is than the optimum that holds at the instants alone, relative to the larger
-      of both: what tightening costs at most, since the best design lies between; zero where no bound is tightened;
-    - `is_coarse`: whether an output jumps and exceeds its limit there beside a single instant, which limits nothing but
-      its own value.
-    """
-
-    factor: int
-    worst: float
-    name: str
-    time: float
-    is_strict: bool = False
-    cost: float = 0.0
-    is_coarse: bool = False
-
-    @property
-    def holds(self) -> bool:
-        """Whether all limits hold there, to the tolerance with which a design counts as a solution."""
-        return self.worst <= TOLERATED
-
-    @property
-    def is_costly(self) -> bool:
-        """Whether bounds were tightened at instants so much that a finer grid may have a considerably better design."""
-        return self.cost > COSTLY
-
-    @property
-    def is_enough(self) -> bool:
-        """Whether no finer grid would help."""
-        return np.isinf(self.worst) or (self.holds and not self.is_costly and not self.is_coarse)
-
-    def __str__(self) -> str:
-        if self.holds:
-            cost = f"{self.cost:.2g} of the objective: use more steps" if self.is_costly else ""
-            tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if cost else ""
-            nearly = f" to {self.worst:.1g} of their bounds" if self.worst > HELD else ""
-            return f"limits over time hold{nearly} on {self.factor} times as many steps too{tightened}"
-        when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"
-        if np.isinf(self.worst):
-            return f"between the instants of the grid '{self.name}' is not a number{when}: use more steps"
-        return (
-            f"between the instants of the grid '{self.name}' exceeds its bound by {self.worst:.2g} of it{when}: "
-            "use more steps"
         )
 
 
