@@ -245,7 +245,7 @@ def doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
         bad = [f"{text} ({quality.leave_one_out[text]:.2g}){quality.since(text)}" for text in quality.unresolved]
         sentences.append(
             f"The expansion of order {quality.order} does not resolve {', '.join(bad)}: its relative leave-one-out "
-            f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. Raise the order"
+            f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. {quality.remedy}"
         )
     if opinion is not None and not opinion.agrees:
         sentences.append(f"{opinion}. {opinion.remedy}")

@@ -103,6 +103,11 @@ class ExpansionQuality(Printed):
         """Whether the collocation matrix is conditioned well enough for accurate coefficients."""
         return self.condition_number <= ILL_CONDITIONED
 
+    @property
+    def remedy(self) -> str:
+        """What resolves it better."""
+        return "Raise the order" if self.elements == 1 else "Raise the order, or the budget of elements"
+
     def since(self, text: str) -> str:
         """From when on a path is not resolved, in words; empty for other functionals."""
         return f" from t = {self.unresolved_from[text]:.4g} s on" if text in self.unresolved_from else ""
@@ -298,8 +303,8 @@ class Certificate(Printed):
         if self.untrusted:
             yield (
                 "the expansion is too coarse for the statistics asked of it",
-                f"solved for the expansion of order {self.expansion.order}, but {self.untrusted}. Raise the order; or "
-                "say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone",
+                f"solved for the expansion of order {self.expansion.order}, but {self.untrusted}. "
+                f"{self.expansion.remedy}; or say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone",
             )
         if worst_case is not None and not worst_case.is_found:
             worst = max(worst_case.realisations, key=lambda one: one.beyond)
