@@ -304,7 +304,8 @@ class Certificate(Printed):
             yield (
                 "the expansion is too coarse for the statistics asked of it",
                 f"solved for the expansion of order {self.expansion.order}, but {self.untrusted}. "
-                f"{self.expansion.remedy}; or say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone",
+                f"{self.expansion.remedy}; or say that you accept it, al.Expansion(order, tolerance=...), and trust "
+                "al.validate alone",
             )
         if worst_case is not None and not worst_case.is_found:
             worst = max(worst_case.realisations, key=lambda one: one.beyond)
