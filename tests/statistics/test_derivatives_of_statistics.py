@@ -145,3 +145,12 @@ def test_derivatives_of_tails_by_their_number_and_by_coefficients_are_those_of_d
     assert np.isfinite(by_coefficients[5]).all()
     if not isinstance(statistic, statistics.Probability):
         assert by_coefficients[5][0] == pytest.approx(1.0)
+
+
+def test_second_derivatives_of_tails_which_are_zero_take_no_equations():
+    """Crossings rest in first derivatives: exact Hessians, as of collocation, leave tails out."""
+    statistic = statistics.Quantile(0.9)
+    coefficients, constants = random_coefficients(TWO, seed=4), prepare([statistic], TWO).of(statistic)
+    slope = jax.jacfwd(lambda terms: statistic.of(terms, constants))
+    first, second = (str(jax.make_jaxpr(one)(coefficients)).count(" while[") for one in (slope, jax.jacfwd(slope)))
+    assert second == first > 0

@@ -282,7 +282,8 @@ BASES = {
 )
 def test_tails_of_known_coefficients_and_their_slopes_are_those_of_programs(kind, which):
     basis, coefficients = BASES[which]()
-    lines = prepare([kind], basis).of(kind)
+    # Those of a path: beside all lines of one output, others along a variable may be taken where it is known.
+    lines = prepare([kind], basis).of(kind).for_one_of(100)
     known = sloped(kind, coefficients[:, None], lines)
     value, slopes = jax.jit(jax.value_and_grad(lambda terms: kind.of(terms, lines)))(jnp.asarray(coefficients))
     assert known.values == pytest.approx(float(value), rel=1e-10)

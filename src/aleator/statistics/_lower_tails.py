@@ -1,6 +1,6 @@
 """The lower tail of an output from its expansion, by lines through the normal variables (see `_lines`).
 
-First derivatives are exact up to the error of the integral; second derivatives are not available.
+First derivatives are exact up to the error of the integral; second derivatives are zero.
 """
 
 import abc

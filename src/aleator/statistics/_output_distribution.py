@@ -181,8 +181,11 @@ def statistics_of_rows(
 def _with_tangents(
     structure: Any, paths: int, primals: tuple[Array, AnyLines], tangents: tuple[Array, Any]
 ) -> tuple[Array, Array]:
-    """The gradient is found once, together with the statistic: a tangent costs one sum."""
-    value, _, *slopes = _evaluated(_sloped, structure, *primals, paths)
+    """The gradient is found once, together with the statistic: a tangent costs one sum.
+
+    Crossings rest in it, so that second derivatives are zero: none are traced.
+    """
+    value, _, *slopes = _evaluated(_sloped, structure, *jax.lax.stop_gradient(primals), paths)
     return value, jnp.sum(jnp.stack(slopes) * tangents[0], axis=0)
 
 

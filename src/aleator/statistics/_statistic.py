@@ -5,6 +5,7 @@ Moments of an expansion in an orthonormal basis follow from its coefficients alo
 
 import abc
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar, TypeAlias, final
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from aleator._core.border import real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_traced
 from aleator.expansion import ROUNDING, AbstractBasis
+from aleator.statistics._lines import AnyLines
 from aleator.statistics._units import PURE, product, squared
 
 Preparation: TypeAlias = Callable[[AbstractBasis], Pytree]
@@ -113,6 +115,11 @@ class Constants(Module):
         if statistic.preparation is None:
             return ()
         return self.values[self.preparations.index(statistic.preparation)]
+
+    def for_one_of(self, entries: int) -> "Constants":
+        """Those for one of so many entries of a path: tails by fewer lines."""
+        each = (one.for_one_of(entries) if isinstance(one, AnyLines) else one for one in self.values)
+        return replace(self, values=tuple(each))
 
 
 @final

@@ -43,7 +43,7 @@ _NO_SPREAD = 1e-12
 class AbstractTail(AbstractStatistic):
     """A statistic of an output's distribution along lines; all such statistics share the prepared lines.
 
-    It has first derivatives only.
+    It has first derivatives only; second ones are zero.
     """
 
     needs_no_compiler: ClassVar[bool] = True

@@ -32,6 +32,9 @@ def test_an_uncertain_mass_spreads_the_end_by_its_own_spread():
 EFFORT = al.integral("effort").mean
 PROBLEMS = {
     "a limit with a probability": {"subject_to": [al.terminal("angle").at_least(1.0, probability=0.95)]},
+    "a path with a probability": {
+        "subject_to": [al.terminal("angle").mean >= 1.0, al.path("angle").at_most(1.06, probability=0.9)]
+    },
     "a worst case": {"subject_to": [al.terminal("angle").at_least(1.0, worst_case=True)]},
     "a spread over time": {"minimize": EFFORT + 1e3 * al.time_integral(al.path("angle").variance)},
 }

@@ -265,8 +265,8 @@ class Tails:
 
     @classmethod
     def of(cls, problem: Problem, constants: Constants) -> "Tails":
-        """Those of a problem; expressions of single instants have theirs in the program itself."""
-        atoms = () if instantaneous(problem) else tails_in(problem.expressions)
+        """Those of a problem."""
+        atoms = tails_in(problem.expressions)
         functionals = functionals_of(problem.expressions)
         which = tuple(functionals.index(one.functionals[0]) for one in atoms)
         return cls(tuple(one.kind for one in atoms), which, constants)  # type: ignore[arg-type]

@@ -34,7 +34,7 @@ from aleator.design import (
 from aleator.dynamics import Grid, Known, System, known_at, observed_at
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
-from aleator.transcription._expansions import ExpansionScope
+from aleator.transcription._expansions import ExpansionScope, tails_in
 from aleator.transcription.sequential._affine import Anchors, affine_features, anchored
 from aleator.uncertainty import named_numbers, realise
 
@@ -48,11 +48,13 @@ class Block(NamedTuple):
 
 
 def instantaneous(problem: Problem) -> tuple[int, ...]:
-    """The indices of a problem's expressions whose rows depend on one instant each."""
+    """The indices of a problem's expressions whose rows depend on one instant each; none beside tails, which are
+    computed between programs.
+    """
     system = problem.system
     if not isinstance(system, System) or system.is_integrated:
         return ()
-    if has_random_signals(problem):
+    if has_random_signals(problem) or tails_in(problem.expressions):
         return ()
     return tuple(i for i, one in enumerate(problem.expressions) if _is_instantaneous(one))
 

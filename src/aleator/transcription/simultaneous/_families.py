@@ -301,6 +301,7 @@ def _limit(
     shared = np.concatenate([decisions, totals, *(numbers for _, numbers in still)])
     none = variables.decisions[None, :0]
     own = np.concatenate([numbers for _, numbers in moving], axis=1) if moving else none
+    constants = constants.for_one_of(len(own))
     block = partial(_expression, problem, constants, expression, (decisions.size, len(totals)))
     parts = [part for part, _ in still], [part for part, _ in moving]
     return Family(lambda _, __, s, o: block(parts, s, o), shared, own[None])
