@@ -195,6 +195,7 @@ def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_by_both_tr
         assert ends == pytest.approx(begins, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_meshes_of_phases_are_refined_until_a_collocated_burn_is_the_simulated_one():
     burn, limit = al.objectives.final_time("second"), al.terminal("h").at_least(700.0, sigmas=1)
     way = al.Simultaneous(al.schemes.Radau(2), error=1e-6, most_stages=6)
@@ -220,65 +221,6 @@ def test_a_start_is_guessed_phase_by_phase_and_ends_where_the_guess_meets_the_ev
     assert states["second.h"][0, -1] == pytest.approx(1.0 + 2.0 / 9.0)
     with pytest.raises(al.ProblemError, match=r"each of the phases \['first', 'second'\], by name; received one of no"):
         transcribe(problem, al.Simultaneous(guess=first))
-
-
-def delayed(part):
-    """The unit of time number `part` of `x'(t) = x(t - 1) u(t - 2)`, beside all before it, which begin anew.
-
-    `x1` … are what `x` is in the units of time so far; `u1` … the inputs there, zero before.
-    """
-
-    class Delayed(al.System):
-        states = tuple(f"x{i}" for i in range(1, part + 1))
-
-        def initial(self):
-            return {"x1": 1.0}
-
-        def rhs(self, t, z, **u):
-            return tuple(z[i - 2] * u[f"u{i - 2}"] if i > 2 else 0.0 * z[0] for i in range(1, part + 1))
-
-        def outputs(self, t, z, **u):
-            x, now = z[-1], u[f"u{part}"]
-            return {"cost": x**2 + now**2, "sum": x + now}
-
-        further_inputs: ClassVar = tuple(f"u{i}" for i in range(1, part + 1))
-
-    return Delayed()
-
-
-@pytest.mark.slow
-def test_a_chain_of_delays_costs_what_betts_publishes():
-    inputs = {f"u{i}": al.Control(0.0, degree=1) for i in range(1, 7)}
-    parts = {
-        f"part{i}": al.Phase(
-            delayed(i),
-            al.Grid(1.0, 20),
-            {name: inputs[name] for name in list(inputs)[:i]},
-            subject_to=[al.path("sum").mean >= 0.3],
-        )
-        for i in range(1, 7)
-    }
-
-    def shift(self, t, z):
-        return {"x1": 1.0} | {f"x{i + 2}": value for i, value in enumerate(z)}
-
-    phases = al.Phases(**parts, link=dict.fromkeys(list(parts)[1:], shift))
-    first, *others = (al.integral("cost", phase=name).mean for name in parts)
-    found = al.solve(al.Problem(phases, minimize=sum(others, start=first)))
-    assert found.ok, found
-    # Betts (2010), 10.50, as straight lines between 20 instants of each unit of time allow.
-    assert found.objective == pytest.approx(3.10812211, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_one_phase_is_what_it_was():
-    rocket, grid, limit = Rocket(al.Decision(300.0, 250.0, 400.0), 1.0), al.Grid(2.0, 8), al.terminal("h").mean <= 40.0
-    alone = al.solve(al.Problem(rocket, grid=grid, minimize=-al.terminal("v").mean, subject_to=[limit]))
-    phases = al.Phases(only=al.Phase(rocket, grid, subject_to=[limit]))
-    phased = al.solve(al.Problem(phases, minimize=-al.terminal("v").mean))
-    assert phased.objective == alone.objective
-    assert phased.decisions["only.thrust"] == alone.decisions["thrust"]
-    assert np.array_equal(phased.outputs["only.h"]["mean"], alone.outputs["h"]["mean"])
 
 
 def test_a_simulation_returns_the_outputs_of_each_phase():
