@@ -135,19 +135,6 @@ def test_arrays_held_by_compiled_helpers_tell_functions_apart():
     assert means == pytest.approx([3.0, 4.5])
 
 
-def test_rules_of_differentiation_tell_functions_apart():
-    def with_slope(slope):
-        @jax.custom_jvp
-        def response(x):
-            return 1.0 * x
-
-        response.defjvp(lambda primals, tangents: (response(*primals), slope * tangents[0]))
-        return lambda h: al.expand(lambda m: response(m["u"]), {"u": al.Normal(h, 0.1)}, FINE).mean
-
-    slopes = [compiled(jax.grad(with_slope(slope)))(1.0) for slope in (2.0, 3.0)]
-    np.testing.assert_allclose(slopes, [2.0, 3.0])
-
-
 def test_the_derivative_of_the_standard_deviation_is_that_of_the_closed_form():
     def std(h):
         return al.expand(lambda m: jnp.exp(m["w"]), {"w": al.Uniform(1.0, half_width=h)}, al.Expansion(10)).std

@@ -26,17 +26,6 @@ def test_the_uncertain_decay_has_its_published_moments(integrator):
     assert np.asarray(expanded.variance["x"])[-1] == pytest.approx(DECAY_VARIANCE, abs=1e-7)
 
 
-@pytest.mark.slow
-def test_the_coefficients_of_a_linear_system_are_those_of_the_projected_equations():
-    """`x' = -(m + h xi) x`: with Legendre's recurrence the coefficients obey `c' = -(m I + h J) c`, J of Jacobi."""
-    expanded = al.galerkin(Decay(rate=al.Uniform(0.5, half_width=0.3)), al.Grid(2.0, 400), al.Expansion(4))
-    n = np.arange(1, 5)
-    off = n / np.sqrt(4 * n**2 - 1)
-    values, vectors = np.linalg.eigh(0.5 * np.eye(5) + 0.3 * (np.diag(off, 1) + np.diag(off, -1)))
-    expected = vectors @ (np.exp(-2.0 * values) * vectors[0])
-    assert np.asarray(expanded.coefficients["x"][:, -1]) == pytest.approx(expected, abs=1e-11)
-
-
 class Pendulum(al.System):
     """Nonlinear, with a number and an array (the integral of the angle, and the speed) as states."""
 

@@ -129,9 +129,6 @@ class Rolling(al.Multibody):
         touching = [self.point_velocity(q, v, wheel, pose.rotation.T @ down) for wheel, pose, down in self.contacts(q)]
         return tuple(velocity[i] for velocity in touching for i in range(2))
 
-    def outputs(self, motion):
-        return {"lean": jnp.arcsin(self.poses(motion.q)["rear"].rotation[2, 1])}
-
 
 class State(NamedTuple):
     q: jax.Array
@@ -165,16 +162,3 @@ def test_bodies_on_wheels_that_roll_have_the_published_eigenvalues_and_weave_spe
     published = [-14.07838969, weave.conjugate(), weave, -0.32286643]
     assert rolling_eigenvalues(5.0) == pytest.approx(np.array(published), abs=1e-8)
     assert rolling_eigenvalues(WEAVE)[-1].real == pytest.approx(0.0, abs=1e-10)
-
-
-@pytest.mark.slow
-def test_bodies_on_wheels_that_roll_lean_as_the_linear_family_does():
-    """By a lean rate of 5e-5 rad/s, of which what is not linear is a part of 1e-7."""
-
-    def lean(at):
-        start = {"frame_x_rate": at["speed"], "frame_omega_x": 5e-5, "steer_rate": 0.0}
-        system = al.ForwardDynamics(Rolling(), start=start, guess={"frame_z": RADII["rear"]})
-        return 1e4 * al.simulate(system, al.Grid(1.0, 100))["lean"][-1]
-
-    found = al.expand(lean, {"speed": al.Uniform.bounds(4.2, 5.0)}, al.Expansion(order=6))
-    assert [float(found.mean), float(found.std)] == pytest.approx([-0.05244411, 0.01337482], abs=2e-8)

@@ -31,30 +31,8 @@ class Block(al.System):
 
 
 @pytest.mark.slow
-def test_the_block_stops_and_stays():
-    def end(at):
-        return al.simulate(Block(mu=at["mu"]), al.Grid(1.0, 2000))["x"][-1]
-
-    found = al.expand(end, {"mu": al.Uniform.bounds(0.4, 0.8)}, al.Expansion(order=6))
-    # Of v² / (2 mu g) over all mu.
-    way = SPEED**2 / (2 * G)
-    mean = way * np.log(2) / 0.4
-    assert found.mean == pytest.approx(mean, abs=1e-3)
-    assert found.std == pytest.approx(np.sqrt(way**2 / (0.4 * 0.8) - mean**2), abs=1e-2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mu", [0.4, 0.6, 0.8])
-def test_a_block_at_rest_does_not_creep(mu):
-    found = al.simulate(Block(mu=mu), al.Grid(1.0, 2000))
-    stopped = found["x"][1600:]  # since 0.8 s
-    assert np.max(np.abs(stopped - SPEED**2 / (2 * mu * G))) < 1e-3
-    assert np.max(np.abs(found["v"][1600:])) < 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("limit", [10.0, 400.0])
-def test_the_fastest_way_out_and_back(limit):
+def test_the_fastest_way_out_and_back():
+    limit = 10.0
     # The way back mirrors the way out.
     problem = al.Problem(
         Block(mu=0.6, first=0.0),
@@ -99,7 +77,7 @@ def test_a_block_sticks_until_a_growing_force_pulls_it_loose():
     stops = (0.6 * G - np.sqrt((0.6 * G) ** 2 - 2 * slope * SPEED)) / slope
     leaves = 0.6 * G / slope
     solution, errors = None, []
-    for width in (1e-2, 1e-3, 1e-4):
+    for width in (1e-3, 1e-4):
         problem = al.Problem(
             Pulled(al.Decision(4.5, 3.5, 5.0), width=width),
             grid=al.Grid(end, 20),
@@ -114,8 +92,8 @@ def test_a_block_sticks_until_a_growing_force_pulls_it_loose():
         is_stuck = (speeds["time"] > stops + 0.05) & (speeds["time"] < leaves - 0.05)
         assert np.max(np.abs(speeds["mean"].values[is_stuck])) < 3 * width
     # In proportion to the width.
-    assert errors[2] < 1e-3
-    assert errors[1] / errors[2] == pytest.approx(10, rel=0.3)
+    assert errors[1] < 1e-3
+    assert errors[0] / errors[1] == pytest.approx(10, rel=0.3)
 
 
 class Ramped(al.System):

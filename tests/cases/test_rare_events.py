@@ -69,10 +69,10 @@ def as_it_is(function, x, threshold) -> al.Solution:
 def test_rare_events_are_estimated_by_twenty_thousand_samples(event):
     function, x, threshold, probability = EVENTS[event]
     solution = as_it_is(function, x, threshold)
-    shares = [al.rare_violation(solution, seed=seed) for seed in range(10)]
-    assert [share.estimate for share in shares] == pytest.approx([probability] * 10, rel=0.2)
-    # Of ten intervals that hold in 95 % of all cases, more than two miss once in ninety times.
-    assert sum(not share.lower <= probability <= share.upper for share in shares) <= 2
+    shares = [al.rare_violation(solution, seed=seed) for seed in range(4)]
+    assert [share.estimate for share in shares] == pytest.approx([probability] * 4, rel=0.2)
+    # Of four intervals that hold in 95 % of all cases, more than one misses once in seventy times.
+    assert sum(not share.lower <= probability <= share.upper for share in shares) <= 1
 
 
 # The error of the integral is told: these tails are known to some percent.

@@ -99,6 +99,7 @@ def clark(first, second):
     return mean, square - mean**2, quantile
 
 
+@pytest.mark.slow
 def test_the_larger_of_two_gaps_has_clarks_moments_and_its_quantile():
     larger = al.output("larger")
     problem = al.Problem(
@@ -196,12 +197,18 @@ def with_threshold(output, threshold, width=None, rate=0.2):
     )
 
 
-def test_a_jump_that_a_decision_moves_is_followed_where_it_is_smooth_and_refused_where_it_is_not():
+LOW = al.Decision(0.5, 0.5, 0.9)
+
+
+def test_a_jump_that_a_decision_moves_is_refused():
     """The mean cost of a load between 0 and 1 is `1 - 0.8 d`: by derivatives at fixed points it grows by `0.2 d`."""
-    low = al.Decision(0.5, 0.5, 0.9)
     with pytest.raises(al.SolveError, match=r"derivatives leave out how a jump moves.*al\.smooth\.step"):
-        al.solve(with_threshold("cost", low))
-    smooth = al.solve(with_threshold("cost", low, 0.01))
+        al.solve(with_threshold("cost", LOW))
+
+
+@pytest.mark.slow
+def test_a_jump_that_a_decision_moves_is_followed_where_it_is_smooth_and_refused_inside_bounds_too():
+    smooth = al.solve(with_threshold("cost", LOW, 0.01))
     assert (float(smooth.decisions["threshold"]), smooth.objective) == pytest.approx((0.9, 0.28), abs=1e-3)
     # Inside its bounds `1 - d + 5 (d - 0.6)²` is least at 0.7, where derivatives at fixed points say 0.6.
     with pytest.raises(al.SolveError, match="leave out how a jump moves"):

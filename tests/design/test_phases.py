@@ -195,6 +195,7 @@ def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_by_both_tr
         assert ends == pytest.approx(begins, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_meshes_of_phases_are_refined_until_a_collocated_burn_is_the_simulated_one():
     burn, limit = al.objectives.final_time("second"), al.terminal("h").at_least(700.0, sigmas=1)
     way = al.Simultaneous(al.schemes.Radau(2), error=1e-6, most_stages=6)

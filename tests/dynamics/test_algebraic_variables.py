@@ -164,6 +164,7 @@ def test_the_guess_decides_between_solutions():
     np.testing.assert_allclose(found, -np.sqrt([1.0, 0.7, 0.4, 0.1]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_where_solutions_meet_is_told():
     told = simulation_of(Folded(), al.Grid(2.0, 8), None, None).explain()
     assert re.match(r"Folded: its algebraic variables have no solution at about t = 1(\.0\d*)? s", told)

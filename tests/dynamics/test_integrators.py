@@ -169,7 +169,7 @@ def test_adaptive_methods_have_order_five_with_algebraic_variables_too(integrato
 
     right = solve_ivp(rates, (0.0, 2.0), [1.0], "DOP853", rtol=1e-12, atol=1e-14).y[0, -1]
     # Tolerances that accept any step: one between two instants.
-    loose, steps = integrator(1e9, 1e9), np.array([6, 12, 24])
+    loose, steps = integrator(1e9, 1e9), np.array([8, 24])
     ends = [np.asarray(al.simulate(Driven(), al.Grid(2.0, int(n)), integrator=loose)["x"])[-1] for n in steps]
     errors = np.abs(np.array(ends) - right)
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] < -4.7
@@ -284,17 +284,10 @@ def test_states_may_be_arrays():
 
 @pytest.mark.parametrize(
     "integrator",
-    cases(
-        [
-            al.integrators.RungeKutta4(),
-            al.integrators.Tsit5(1e-12, 1e-13),
-            al.integrators.Rodas5P(1e-12, 1e-13),
-        ],
-        first=2,
-    ),
+    cases([al.integrators.Tsit5(1e-12, 1e-13), al.integrators.Rodas5P(1e-12, 1e-13)]),
     ids=lambda one: type(one).__name__,
 )
-def test_derivatives_through_every_integrator_agree_with_finite_differences(integrator):
+def test_derivatives_through_adaptive_integrators_agree_with_finite_differences(integrator):
     # A smooth input: an adaptive step that crosses a kink makes noise in the differences, not in the derivative.
     grid, inputs = al.Grid(3.0, 60), {"push": al.Tabulated(np.array([0.0, 3.0]), np.array([-1.0, 1.0]))}
 
@@ -346,8 +339,7 @@ def test_what_runs_away_is_named_at_its_first_time():
                 1000,
                 r"used up its 1000 steps at t = .* or take al.integrators.Rodas5P\(\), if .* stiff",
             ),
-        ],
-        2,
+        ]
     ),
 )
 def test_adaptive_integration_that_fails_gives_no_number(system, end, steps, message):
@@ -356,6 +348,7 @@ def test_adaptive_integration_that_fails_gives_no_number(system, end, steps, mes
     assert np.isnan(next(iter(outputs.values()))).all()
 
 
+@pytest.mark.slow
 def test_tolerances_below_rounding_are_blamed_in_the_place_of_the_rates():
     class Fast(Pendulum):
         def rhs(self, t, z, push):

@@ -9,7 +9,7 @@ import scipy
 
 import aleator as al
 from aleator.uncertainty import realise
-from zoo import histories
+from zoo import histories, optimum
 
 
 class Cart(al.System):
@@ -41,6 +41,7 @@ def push(value):
     return {"u": al.StepFunction([9.0], [value, 0.0])}
 
 
+@pytest.mark.slow
 def test_a_loop_in_two_phases_is_that_of_one():
     cart, loop = Cart(MASS), feedback([al.Decision(8.0, 1.0, 20.0), 3.0], noise={"x": al.processes.WhiteNoise(1e-4)})
     options: dict[str, Any] = {"minimize": al.terminal("x").std}
@@ -100,6 +101,7 @@ def test_where_an_event_ends_a_phase_the_plan_begins_the_next_from_its_own():
         assert float(found["coast.v"][k, -1]) == pytest.approx(end[1], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_regulator_of_a_later_phase_is_along_the_plan_of_that_phase():
     class Started(Cart):
         begun: tuple[al.Number, al.Number] = (0.0, 0.0)
@@ -147,7 +149,7 @@ def test_the_multiplier_of_a_led_cycle_is_that_of_the_loop():
     nodes, weights = np.polynomial.legendre.leggauss(6)
     loops = (scipy.linalg.expm(2 * np.pi * np.array([[0, 1], [-0.2, -0.5 - 0.1 * node]])) for node in nodes)
     expected = weights @ [np.abs(np.linalg.eigvals(one)).max() for one in loops] / 2
-    assert al.solve(problem).objective == pytest.approx(expected, rel=1e-5)
+    assert optimum(problem).objective == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_plan_that_never_ends_is_named():
@@ -184,7 +186,7 @@ def test_collocation_begins_a_phase_with_the_end_of_the_plan_before_it():
         free=al.Phase(lag, al.Grid(1.0, 10), inputs), led=al.Phase(lag, al.Grid(0.5, 10), inputs, feedback=loop)
     )
     least = {"minimize": al.value("feedback.led.gains.0"), "subject_to": [al.terminal("x").std <= 0.05]}
-    (k,) = al.solve(al.Problem(phases, **least), transcription=al.Simultaneous()).decisions.values()
+    (k,) = optimum(al.Problem(phases, **least), transcription=al.Simultaneous()).decisions.values()
     nodes, weights = np.polynomial.legendre.leggauss(8)
     # The plan is 2 - exp(-t); in the led phase a state is a sum of a constant and two exponentials.
     a = 1.0 + 0.3 * nodes

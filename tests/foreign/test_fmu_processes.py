@@ -53,6 +53,7 @@ def test_runs_and_their_derivatives_are_the_same_in_a_process_of_its_own(rods):
         assert np.array_equal(found[name], values)
 
 
+@pytest.mark.slow
 def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods):
     fmu = fmu_of(rods, ABORTS)
     process = process_of(fmu)

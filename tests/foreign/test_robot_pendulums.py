@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 
 import aleator as al
 from compiling import compiled
-from zoo import cases
 
 URDF = """<?xml version="1.0"?>
 <robot name="pendulum">
@@ -47,7 +46,8 @@ MJCF = """<mujoco>
 """
 
 
-@pytest.mark.parametrize(("read", "text"), cases([(al.foreign.read_mjcf, MJCF), (al.foreign.read_urdf, URDF)]))
+@pytest.mark.slow
+@pytest.mark.parametrize(("read", "text"), [(al.foreign.read_mjcf, MJCF), (al.foreign.read_urdf, URDF)])
 def test_the_motion_of_a_pendulum_and_its_derivative_by_the_mass_are_those_of_scipy(tmp_path, read, text):
     (tmp_path / "pendulum.xml").write_text(text)
     robot = read(tmp_path / "pendulum.xml")

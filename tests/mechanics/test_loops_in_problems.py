@@ -80,7 +80,3 @@ def test_a_start_that_depends_on_the_instant_is_that_of_the_simulation():
     np.testing.assert_allclose(crank, 0.3, rtol=1e-14)
     np.testing.assert_allclose(np.sin(rod), -0.1 / 0.35 * np.sin(0.3), rtol=1e-9)
     np.testing.assert_allclose(slider, 0.1 * np.cos(0.3) + 0.35 * np.cos(rod), rtol=1e-9)
-    tied = transcribed.assembled.rows.ties.rows
-    first = transcribed.program.evaluate(transcribed.program.start).constraints[tied]
-    begun = np.isin(transcribed.assembled.rows.ties.variables, transcribed.layout.numbers.phases[0].states[:, 0])
-    np.testing.assert_allclose(first[begun], 0.0, atol=1e-12)

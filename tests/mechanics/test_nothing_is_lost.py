@@ -30,6 +30,7 @@ class Around(al.Multibody):
         return self.robot.closures()
 
 
+@pytest.mark.slow
 def test_a_model_around_a_robot_keeps_its_couplings(tmp_path):
     path = tmp_path / "two.xml"
     path.write_text(COUPLED)
@@ -110,6 +111,7 @@ def state(crank=0.5, rate=2.0):
     return posture, {"crank_rate": rate, "rod_rate": rod_rate, "slider_rate": slider_rate}
 
 
+@pytest.mark.slow
 def test_a_complete_state_is_a_start_as_it_is_and_published_digits_are_completed():
     posture, rates = state()
     whole = posture | rates

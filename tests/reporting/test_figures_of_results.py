@@ -33,12 +33,21 @@ def numbers(values):
     return np.array(values, dtype=float)
 
 
-@pytest.mark.parametrize("name", shown.EVERY)
-def test_every_result_has_a_usual_figure_and_a_table_for_notebooks_that_holds_what_is_printed(name):
+# Densities of expansions take long to compile.
+DENSITIES = ("expanded function", "tolerance analysis")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in DENSITIES)) for name in shown.EVERY]
+)
+def test_every_result_has_a_usual_figure_one_line_and_a_table_for_notebooks_that_holds_what_is_printed(name):
     result = shown.EVERY[name]()
     figure = result.plot()
     assert isinstance(figure, plotly.graph_objects.Figure)
     assert len(figure.data) > 0
+    (line,) = repr(result).splitlines()
+    assert line.startswith(f"<{type(result).__name__}")
+    assert len(line) < 300
     assert str(result).strip() in html.unescape(re.sub("<[^>]*>", "", result._repr_html_()))
 
 
@@ -91,6 +100,7 @@ def limited(held):
     )
 
 
+@pytest.mark.slow
 def test_a_solution_opens_on_the_limit_that_is_active_and_evidence_on_the_one_that_most_systems_break():
     solution = limited(al.path("back").at_most(0.2, sigmas=1.0))
     assert solution.active == ("held",)
@@ -238,23 +248,18 @@ def test_the_density_of_an_expanded_output_is_that_of_its_distribution():
     assert "mean 3.000, σ 3.000" in entry.layout.title.text
 
 
-def test_tolerances_show_the_rejects_beyond_the_limits_and_where_spread_comes_from():
-    analysis = shown.tolerances()
-    figure = analysis.plot.density()
-    assert sorted(one.x0 for one in figure.layout.shapes) == [1.8, 2.2]
-    line = figure.data[0]
-    np.testing.assert_allclose(numbers(line.y), scipy.stats.norm(2.0, 0.1).pdf(numbers(line.x)), rtol=0.02, atol=1e-3)
-    for bars in analysis.plot.contributions().data:
+def test_contributions_to_a_tolerance_show_where_spread_comes_from():
+    for bars in shown.tolerances().plot.contributions().data:
         assert list(bars.x) == ["plate", "housing"]
         np.testing.assert_allclose(bars.y, [64.0, 36.0], rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", shown.EVERY)
-def test_the_repr_of_a_result_is_one_line(name: str):
-    result = shown.EVERY[name]()
-    (line,) = repr(result).splitlines()
-    assert line.startswith(f"<{type(result).__name__}")
-    assert len(line) < 300
+@pytest.mark.slow
+def test_tolerances_show_the_rejects_beyond_the_limits():
+    figure = shown.tolerances().plot.density()
+    assert sorted(one.x0 for one in figure.layout.shapes) == [1.8, 2.2]
+    line = figure.data[0]
+    np.testing.assert_allclose(numbers(line.y), scipy.stats.norm(2.0, 0.1).pdf(numbers(line.x)), rtol=0.02, atol=1e-3)
 
 
 def test_a_figure_of_what_is_not_there_is_refused():

@@ -38,6 +38,7 @@ def test_each_point_of_a_front_tells_its_decisions_objective_limits_prices_and_c
     assert facts(chosen, "Limits")["Active"] == given.NAME
 
 
+@pytest.mark.slow
 def test_a_front_opens_at_the_design_nearest_to_the_recommended_one():
     front, recommended = given.front(), given.solution()
     (block,) = front_blocks({"uOpt": front}, recommended=recommended)

@@ -13,7 +13,7 @@ import xarray
 import aleator as al
 from aleator import extending as ext
 from aleator.studies import STUDIES, load
-from zoo import bar_problem
+from zoo import bar_problem, cases
 
 
 @cache
@@ -126,10 +126,8 @@ def test_nothing_is_recommended_where_a_chapter_is_stopped_before_it_recommends(
     assert page.headline().startswith("Stopped early: Nothing to build yet.")
 
 
-# The four-bar takes half a minute to declare; it has tests of its own.
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "four-bar")) for name in STUDIES]
-)
+# The four-bar takes half a minute to declare, its own tests do so; the studies of motions take seconds.
+@pytest.mark.parametrize("name", cases([name for name in STUDIES if name != "four-bar"], first=2))
 def test_every_study_of_the_list_has_problems_and_a_quick_run_says_what_it_skips(name):
     for quick in (False, True):
         study = load(name, quick=quick)

@@ -1,19 +1,20 @@
 """The studies of motion planning: their optima against other programs and quadratures, and the runs of users. Slow."""
 
 import json
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import aleator as al
-from aleator import cli
 from aleator.reporting import page_html
-from aleator.studies import Draft, load, pick_and_place_effort, pick_and_place_time, swing_up
+from aleator.studies import Draft, load, pick_and_place_time, swing_up
 from aleator.studies._motion import TARGET as TOLERATED
+from aleator.studies.pick_and_place_effort._chapter import ROBUST
 from aleator.studies.pick_and_place_time._chapter import MEAN, ONE, REFERENCE, WORST
+from aleator.studies.swing_up._chapter import EXPECTED
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.uncertainty import realise
 from six_axis_arm import robust_problem as six_axis_problem
@@ -40,6 +41,14 @@ def moments(solution, names, finer=10):
     return means, {name: np.sqrt(weights / 2 @ (one - means[name]) ** 2) for name, one in rows.items()}
 
 
+@cache
+def quick(name):
+    """The page of a quick run."""
+    draft = Draft(load(name, quick=True))
+    draft.fill()
+    return draft
+
+
 # --- Optima ----------------------------------------------------------------------------------------------------------
 
 
@@ -53,7 +62,7 @@ def test_the_fastest_robust_plan_keeps_its_limits_between_the_instants():
 
 
 def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_distances():
-    solution = al.solve(pick_and_place_effort.robust_problem(1.0))
+    solution = quick("pick-and-place-effort").kept["plans"][ROBUST]
     assert solution.objective <= 112.125
     means, stds = moments(solution, (*GAPS, "q1", "q2", "q1_rate", "q2_rate"))
     # Ten times as many steps also integrate better than the plan's did: by some 1e-4 rad at the end.
@@ -64,7 +73,7 @@ def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_dist
 
 
 def test_the_robust_swing_up_is_as_good_as_the_reference_and_holds_with_four_times_as_many_steps():
-    solution = al.solve(swing_up.robust_problem(1.0))
+    solution = quick("swing-up").kept["plans"][EXPECTED]
     # Not rounded off, its energy is that of the same plan to the rounding: 0.01 W over its duration.
     assert solution.objective + swing_up.SMOOTHING * float(solution.decisions["t_final"]) <= 30.6
     means, stds = moments(solution, ("q1_torque", "q2", "q2_rate", "tip_x", "tip_y"), finer=4)
@@ -83,11 +92,9 @@ def test_the_six_axis_arm_is_as_fast_as_an_independent_program_finds():
 # --- Chapter and page ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def page():
-    draft = Draft(load("pick-and-place-time", quick=True))
-    draft.fill()
-    return draft
+    return quick("pick-and-place-time")
 
 
 def test_the_plans_are_as_fast_as_those_of_an_independent_program_and_break_limits_as_often_as_expected(page):
@@ -169,13 +176,12 @@ def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says
         ("swing-up", ("5.10", "5.11", "5.13", "5.14"), "Do not build yet: "),
     ],
 )
-def test_the_quick_run_writes_a_report_and_says_what_it_leaves_out(name, figures, verdict, tmp_path):
-    result = CliRunner().invoke(cli.application, ["run", name, "--quick", "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.output
-    told = " ".join(result.output.split())
-    assert verdict in told
-    assert "This was a quick run, without" in told
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert all(f"Figure {number}" in page for number in figures)
+def test_a_quick_run_shows_its_figures_and_says_what_it_leaves_out(name, figures, verdict, tmp_path):
+    page = quick(name)
+    assert page.headline().startswith(verdict)
+    assert "This was a quick run, without" in page.headline()
+    html = page_html(page.page())
+    assert all(f"Figure {number}" in html for number in figures)
+    page.save(tmp_path)
     saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
     assert {one["status"] for one in saved.values()} == {al.Status.SOLVED.value}

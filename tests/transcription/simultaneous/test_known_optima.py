@@ -116,6 +116,7 @@ def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     assert np.log2(first / second) == pytest.approx(scheme.order, abs=0.3)
 
 
+@pytest.mark.slow
 def test_one_uncertain_number_in_two_places_of_a_model_whose_time_is_least():
     class Decay(al.System):
         states = ("x",)

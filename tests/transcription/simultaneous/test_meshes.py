@@ -62,6 +62,7 @@ def stiffest(steps, most=2.0, kink=0.0, tall=0.0):
     return al.Problem(spring, grid=al.Grid(5.0, steps), minimize=-al.value("stiffness") + 0.0 * al.terminal("w").mean)
 
 
+@pytest.mark.slow
 def test_an_oscillation_is_followed_by_few_intervals_of_high_order():
     scheme, asked = al.schemes.Radau(3), 1e-9
     raised = al.solve(stiffest(5), transcription=al.Simultaneous(scheme, error=asked, most_stages=12))

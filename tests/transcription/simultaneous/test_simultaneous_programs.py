@@ -25,7 +25,6 @@ PROGRAMS = {
     "algebraic variables": (lambda: robustly_fed(4), al.schemes.HermiteSimpson()),
     "statistics over time": (integrated, al.schemes.HermiteSimpson()),
     "segments with algebraic variables": (lambda: robustly_fed(4), al.schemes.MultipleShooting(2)),
-    "segments with statistics over time": (integrated, al.schemes.MultipleShooting(1)),
 }
 
 
