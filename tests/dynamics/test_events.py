@@ -229,6 +229,34 @@ def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers()
     refused(Shot(angle=-0.7), LANDED, "starts at 'ground'", "angle=-0.7")
 
 
+class Drained(al.System):
+    """A tank that runs empty through a hole: `sqrt(h)` falls evenly, and has no value below zero."""
+
+    states = ("h",)
+    c: al.Number = 0.57
+    events: ClassVar = {
+        "low": al.Event(lambda self, t, z: z.h - 0.1, direction=-1),
+        "half": al.Event(lambda self, t, z: z.h - 0.5, direction=-1, jump=lambda self, t, z: {"h": z.h}),
+    }
+
+    def initial(self):
+        return {"h": 0.95}
+
+    def rhs(self, t, z):
+        return (-self.c * jnp.sqrt(z.h),)
+
+    def outputs(self, t, z):
+        return {"h": z.h}
+
+
+@pytest.mark.slow
+def test_a_step_that_leads_beyond_an_event_to_rates_that_are_none_is_told_with_what_to_do():
+    refused(Drained(), al.Grid(until="low", at_most=30.0, steps=40), "not finite after t = 2.25 s", "Take more steps")
+    refused(Drained(), al.Grid(until="low", at_most=2.0, steps=40), "never meets 'low'", "from 0 to 2 s")
+    ended = al.simulate(Drained(), al.Grid(until="low", at_most=3.0, steps=40))["time"][-1]
+    assert ended == pytest.approx(2 * (np.sqrt(0.95) - np.sqrt(0.1)) / 0.57, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_a_jump_that_stays_two_events_at_once_and_one_that_is_only_touched_are_told_too():
     refused(Stopped(), al.Grid(1.0, 10), "stays at 'floor'", "t = 0.4515 s")

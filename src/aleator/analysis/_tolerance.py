@@ -83,8 +83,7 @@ def _zone_of(distribution: AbstractDistribution) -> Zone:
     lower, upper = map(float, distribution.support())
     if np.isfinite([lower, upper]).all():
         return Zone(lower, upper)
-    middle, reach = float(distribution.mean()), SIGMAS * float(distribution.std())
-    return Zone(max(middle - reach, lower), min(middle + reach, upper))
+    return Zone(*(float(distribution.value_at_normal(jax_array(end))) for end in (-SIGMAS, SIGMAS)))
 
 
 def _given(distribution: AbstractDistribution, tolerance: Any) -> Zone:
@@ -175,6 +174,8 @@ class ToleranceAnalysis(Drawn):
     def __str__(self) -> str:
         low, high = self.worst_case
         error = f", ± {self.rejects_error:.2g} ppm" if self.rejects_error > _WORTH_SAYING * self.rejects else ""
+        if (low < self.lower and not self.rejects_low) or (high > self.upper and not self.rejects_high):
+            error += ": none was drawn, though the worst case is beyond a limit; al.references.monte_carlo draws more"
         rows = [
             (self.output, f"nominal {self.nominal:.6g}, mean {self.mean:.6g}, 3σ {3 * self.std:.5g}"),
             ("shape", f"skewness {self.skewness:.3g}, kurtosis {self.kurtosis:.4g} (0 and 3 if normal)"),
@@ -210,8 +211,8 @@ def tolerance_analysis(
     - `output`: the name of an output of the system, or a function of the realised model that returns one number;
     - `lower`, `upper`: the limits of the output, in its unit;
     - `tolerances`: the zone of each dimension for the worst case, half-widths or (minus, plus), by name. By default the
-      zone of a `Toleranced` distribution, the support of a bounded distribution, and three standard deviations of
-      others, as far as their support reaches;
+      zone of a `Toleranced` distribution, the support of a bounded distribution, and of others what holds as much as
+      three standard deviations of a normal distribution, 99.73 % in the middle;
     - `expansion`: default order 3.
 
     Returns a `ToleranceAnalysis`, which prints as a table.

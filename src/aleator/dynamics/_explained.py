@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator.dynamics._crossings import AT_START, GIVEN_UP, LOST, MANY, STAYS, TOGETHER, Course, course
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._newton import listed, numbers_in
-from aleator.dynamics._record import Asked
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked
 from aleator.dynamics._steps import Method, needed, watched
 from aleator.dynamics._system import System
 
@@ -46,6 +46,12 @@ def explain_course(
         others = [f"'{name}'" for i, name in enumerate(names) if i != int(event)]
         other = others[0] if len(others) == 1 else f"one of {', '.join(others)}"
         return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t), other=other)}"
+    if np.isnan(end) and (place := _unfinished(method, system, grid, inputs)) is not None:
+        return (
+            f"{who} has rates that are not finite after t = {place:.4g} s, before '{grid.until}' is met: a step of the "
+            "grid leads to where the equations have no value. Take more steps or a smaller at_most, so that steps are "
+            "shorter, or let rates go on there, such as jnp.sqrt(jnp.maximum(h, 0))."
+        )
     if np.isnan(end):
         return (
             f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
@@ -58,6 +64,16 @@ def explain_course(
             f"{end:.4g} s. Take a longer grid, or bound the distributions and decisions that lead past it."
         )
     return ""
+
+
+def _unfinished(method: Method, system: System, grid: Grid, inputs: Inputs) -> float | None:
+    """The last instant, s, up to which states are finite if no event ends the grid; None if they are to its end."""
+    whole = Grid(float(grid.t_final), grid.steps, float(grid.t_start))
+    one = evaluate(
+        lambda: course(method, system, whole, inputs, ONLY_STATES, watched(system, whole, frozenset())), use=Use.ONCE
+    )
+    is_finite = np.isfinite(np.asarray(one.record.history[STATES])[np.asarray(one.places)]).all(axis=1)
+    return None if is_finite.all() else float(whole.times[max(int(np.argmin(is_finite)) - 1, 0)])
 
 
 def events_in_steps(
