@@ -115,3 +115,13 @@ def test_slopes_by_lines_along_a_variable_are_those_of_differences():
             float(sloped(kind, (coefficients + step * direction)[:, None], lines).values[0]) for step in (1e-4, -1e-4)
         )
         assert known.slopes[:, 0] @ direction == pytest.approx((ahead - behind) / 2e-4, rel=1e-5)
+
+
+@pytest.mark.parametrize("chance", [0.1, 0.03, 1e-2, 1e-3, 1e-4])
+def test_slopes_around_a_circle_that_lines_touch_are_those_of_the_closed_form(chance):
+    """`P[s (a² + b²) + m > x] = exp(-(x - m) / (2 s))`."""
+    basis, threshold = basis_of([HermiteGerm()] * 2, 2), -2 * np.log(chance)
+    coefficients = np.asarray(coefficients_of_polynomial(basis, lambda a, b: a**2 + b**2))
+    known = sloped(Probability(above=threshold), coefficients[:, None], lines_through(basis))
+    assert known.slopes[0, 0] == pytest.approx(chance / 2, rel=1e-2)
+    assert known.slopes[:, 0] @ coefficients == pytest.approx(threshold * chance / 2, rel=1e-2)

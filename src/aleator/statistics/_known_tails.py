@@ -5,8 +5,7 @@ other programs.
 """
 
 import abc
-from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import jax
 import numpy as np
@@ -32,7 +31,6 @@ from aleator.statistics._lines import (
     LAST,
     STILL,
     TABLED,
-    AnyLines,
     Lines,
     LinesInElements,
     placed,
@@ -40,7 +38,6 @@ from aleator.statistics._lines import (
 )
 from aleator.statistics._lower_tails import (
     CONSTANT,
-    EQUAL,
     MOST_STEPS,
     NARROW,
     TailByLines,
@@ -48,23 +45,15 @@ from aleator.statistics._lower_tails import (
     error_of,
 )
 
-# Lines run along a variable too where the others state a larger error of a probability, and count if they differ from
-# these by no more than so many such errors.
-_DOUBTFUL, _COVERED = 1e-8, 2
+# Lines on a lattice that err by this part of a probability touch the threshold: derivatives by it are differences over
+# this part of what the probability divided by the density is.
+_TOUCHING, _SHELL = 1e-4, 0.15
 
 # The width of a cell of the tables of germ variables, in standard deviations.
 _CELL = 2 * LAST / TABLED
 
 
-class Known(NamedTuple):
-    """A statistic of an output, the 95 % half-width of its integral, and its derivatives by the coefficients."""
-
-    value: float
-    error: float
-    slopes: Float[np.ndarray, " terms"]
-
-
-class _Cut(NamedTuple):
+class Cut(NamedTuple):
     """Where an output crosses a threshold, as `Cut`.
 
     - `doubt`: the probability of places at which a germ variable all but jumps, so that the crossing may be elsewhere;
@@ -74,7 +63,7 @@ class _Cut(NamedTuple):
     below: float
     density: float
     doubt: float = 0.0
-    elements: tuple["_Cut", ...] = ()
+    elements: tuple["Cut", ...] = ()
     inside: Bool[np.ndarray, " parts"] = np.zeros(0, bool)
     fractions: Float[np.ndarray, " lines"] = np.zeros(0)
     line: Int[np.ndarray, " crossings"] = np.zeros(0, int)
@@ -85,36 +74,43 @@ class _Cut(NamedTuple):
     length: Float[np.ndarray, " crossings"] = np.zeros(0)
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """A threshold, with its derivatives by the coefficients if it is a quantile, and the output there."""
 
     threshold: float
-    cut: _Cut
+    cut: Cut
     slopes: Float[np.ndarray, " terms"] = np.zeros(0)
 
 
-class _AbstractKnownTail(abc.ABC):
+class AbstractKnownTail(abc.ABC):
     """What lies below a threshold, of an output with mean zero, or of its negative. Slopes are by its coefficients."""
 
     std: float
 
     @abc.abstractmethod
-    def cut(self, threshold: float) -> _Cut:
+    def cut(self, threshold: float) -> Cut:
         """The output at a threshold."""
 
     @abc.abstractmethod
-    def below(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+    def below(self, threshold: float, at: Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
         """The probability below a threshold. Its derivative by the threshold is the density."""
 
     @abc.abstractmethod
-    def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+    def shortfall(self, threshold: float, at: Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
         """The expected shortfall below a threshold, zero for values above it."""
 
     @abc.abstractmethod
-    def error(self, at: _Cut) -> float:
+    def error(self, at: Cut) -> float:
         """The 95 % half-width of the probability below a threshold."""
 
-    def quantile(self, level: float) -> _Place:
+    def change(
+        self, threshold: float, at: Cut, slopes: Float[np.ndarray, " terms"]
+    ) -> tuple[float, Float[np.ndarray, " terms"]]:
+        """The density at a threshold, and the derivatives of the probability below it, from those at its crossings."""
+        del threshold
+        return at.density, slopes
+
+    def quantile(self, level: float) -> Place:
         """The quantile, by `AbstractLowerTail`'s search."""
         target, off = float(scipy.special.ndtri(level)), np.inf
         low, high = bracket_of(level, self.std)
@@ -132,17 +128,18 @@ class _AbstractKnownTail(abc.ABC):
         value, slopes = self.below(last, cut)
         density = self.slope(off, cut)
         if not density > 0:
-            return _Place(last, cut, np.zeros(slopes.shape))
-        return _Place(last - (value - level) / density, cut, -slopes / density)
+            return Place(last, cut, np.zeros(slopes.shape))
+        density, slopes = self.change(last, cut, slopes)
+        return Place(last - (value - level) / density, cut, -slopes / density)
 
-    def slope(self, off: float, cut: _Cut) -> float:
+    def slope(self, off: float, cut: Cut) -> float:
         """The density at a quantile; zero where it is one of many systems at once."""
         del off
         return cut.density
 
 
 @final
-class _KnownTailByLines(_AbstractKnownTail):
+class KnownTailByLines(AbstractKnownTail):
     """As `TailByLines`.
 
     - `line`, `cell`, `left`, `right`: of the parts of cells in which the output rises or falls: all cells up to an
@@ -181,7 +178,7 @@ class _KnownTailByLines(_AbstractKnownTail):
 
     @override
     @quietly
-    def cut(self, threshold: float) -> _Cut:
+    def cut(self, threshold: float) -> Cut:
         low, high = self.value_left < threshold, self.value_right < threshold
         parts = np.flatnonzero(low != high)
         line, cell, left, right = (each[parts] for each in (self.line, self.cell, self.left, self.right))
@@ -200,7 +197,7 @@ class _KnownTailByLines(_AbstractKnownTail):
         below, density = self.share @ fractions, self.share[line] @ densities
         doubt = float(self.share[line] @ (self._is_steep(line, along) * density_of(along))) * (step + _CELL)
         where = inside, fractions, line, cell, along, densities, start, end - start
-        return _Cut(float(below), float(density), doubt, (), *where)
+        return Cut(float(below), float(density), doubt, (), *where)
 
     def _is_steep(self, line: Int[np.ndarray, " n"], along: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Whether a germ variable is steep nearby."""
@@ -213,7 +210,7 @@ class _KnownTailByLines(_AbstractKnownTail):
         return np.any(np.take_along_axis(counts, last, axis=1) > np.take_along_axis(counts, first, axis=1), axis=0)
 
     @override
-    def below(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+    def below(self, threshold: float, at: Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
         crossings, rates = (
             self.points[:, at.line] + np.outer(self.direction, at.along),
             self.share[at.line] * at.densities,
@@ -228,7 +225,7 @@ class _KnownTailByLines(_AbstractKnownTail):
         return float(value), slopes
 
     @override
-    def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+    def shortfall(self, threshold: float, at: Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
         parts = np.flatnonzero(at.inside)
         line, cell = np.append(self.line[parts], at.line), np.append(self.cell[parts], at.cell)
         start, length = np.append(self.left[parts], at.start), self.right[parts] - self.left[parts]
@@ -242,13 +239,28 @@ class _KnownTailByLines(_AbstractKnownTail):
         return float(threshold * np.sum(powers[0]) - np.sum(powers * self.cubics)), np.sum(each, axis=0)
 
     @override
-    def error(self, at: _Cut) -> float:
+    def change(
+        self, threshold: float, at: Cut, slopes: Float[np.ndarray, " terms"]
+    ) -> tuple[float, Float[np.ndarray, " terms"]]:
+        """Where lines touch the threshold, as around a region that surrounds the mean, both are infinite on these.
+        There they come from what lies within a shell about it, being those of the shortfall's derivative.
+        """
+        if not (is_whole_lattice(self.lines) and at.density > 0 and self.error(at) > _TOUCHING * at.below):
+            return at.density, slopes
+        reach = _SHELL * at.below / at.density
+        ends = threshold - reach, threshold + reach
+        cuts = [self.cut(end) for end in ends]
+        inner, outer = (self.shortfall(end, cut)[1] for end, cut in zip(ends, cuts, strict=True))
+        return (cuts[1].below - cuts[0].below) / (2 * reach), (outer - inner) / (2 * reach)
+
+    @override
+    def error(self, at: Cut) -> float:
         shape = self.lines.normals.shape[1:]
         return float(error_of(self.share.reshape(shape), at.fractions.reshape(shape))) + at.doubt
 
 
 @final
-class _KnownTailInElements(_AbstractKnownTail):
+class KnownTailInElements(AbstractKnownTail):
     """As `TailInElements`."""
 
     def __init__(self, signed: Float[np.ndarray, " terms"], lines: LinesInElements):
@@ -260,13 +272,13 @@ class _KnownTailInElements(_AbstractKnownTail):
         )
         self.signed = np.asarray(division.elements(signed))
         each = [jax.tree.map(lambda leaf, i=i: leaf[i], lines.lines) for i in range(len(self.share))]
-        self.tails = [_KnownTailByLines(own, part) for own, part in zip(self.signed, each, strict=True)]
+        self.tails = [KnownTailByLines(own, part) for own, part in zip(self.signed, each, strict=True)]
 
     @override
-    def cut(self, threshold: float) -> _Cut:
+    def cut(self, threshold: float) -> Cut:
         every = tuple(tail.cut(threshold) for tail in self.tails)
         below, density = (self.share @ np.array([cut[k] for cut in every]) for k in (0, 1))
-        return _Cut(float(below), float(density), elements=every)
+        return Cut(float(below), float(density), elements=every)
 
     def _summed(self, each: list[tuple[float, np.ndarray]]) -> tuple[float, Float[np.ndarray, " terms"]]:
         values, slopes = zip(*each, strict=True)
@@ -277,22 +289,22 @@ class _KnownTailInElements(_AbstractKnownTail):
         return np.asarray(self.division.whole(slopes / self.share[:, None]))
 
     @override
-    def below(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+    def below(self, threshold: float, at: Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
         pairs = zip(self.tails, at.elements, strict=True)
         return self._summed([tail.below(threshold, own) for tail, own in pairs])
 
     @override
-    def shortfall(self, threshold: float, at: _Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
+    def shortfall(self, threshold: float, at: Cut) -> tuple[float, Float[np.ndarray, " terms"]]:
         pairs = zip(self.tails, at.elements, strict=True)
         return self._summed([tail.shortfall(threshold, own) for tail, own in pairs])
 
     @override
-    def error(self, at: _Cut) -> float:
+    def error(self, at: Cut) -> float:
         each = [tail.error(own) for tail, own in zip(self.tails, at.elements, strict=True)]
         return float(np.sqrt(np.sum((self.share * np.array(each)) ** 2)))
 
     @override
-    def quantile(self, level: float) -> _Place:
+    def quantile(self, level: float) -> Place:
         """One that many systems share, as those of a stop do, moves with their elements, which are constant."""
         quantile, cut, slopes = super().quantile(level)
         rest = np.sqrt(np.sum(self.signed[:, 1:] ** 2, axis=1))
@@ -300,85 +312,8 @@ class _KnownTailInElements(_AbstractKnownTail):
         shares = np.where(away <= CONSTANT * self.std, self.share, 0.0)
         moved = np.zeros(self.signed.shape)
         moved[:, 0] = shares / max(float(np.sum(shares)), np.finfo(float).tiny)
-        return _Place(quantile, cut, slopes + self._by_whole(moved))
+        return Place(quantile, cut, slopes + self._by_whole(moved))
 
     @override
-    def slope(self, off: float, cut: _Cut) -> float:
+    def slope(self, off: float, cut: Cut) -> float:
         return cut.density if abs(off) <= TailByLines.close else 0.0
-
-
-@final
-class KnownDistribution:
-    """The distribution of an output by its coefficients, as `OutputDistribution`. `lines`: of NumPy's arrays."""
-
-    def __init__(self, coefficients: Float[np.ndarray, " terms"], lines: AnyLines):
-        self.coefficients, self.lines = coefficients, lines
-        self.rest = np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
-
-    def _side(
-        self, search: Callable[[_AbstractKnownTail], _Place], *, is_lower: bool
-    ) -> tuple[float, _AbstractKnownTail, _Place]:
-        """The sign of a tail, the tail, and the threshold that is sought in it, along lines with the smaller error.
-
-        Where the output bends, lines to its smallest values meet a threshold twice, or touch it, even if it rises all
-        along one of the variables: lines along this variable meet it once, if they find as much within what the others
-        may be off by.
-        """
-        sign, lines = 1.0 if is_lower else -1.0, self.lines
-        if isinstance(lines, LinesInElements):
-            elements = _KnownTailInElements(sign * self.rest, lines)
-            return sign, elements, search(elements)
-        tail = _KnownTailByLines(sign * self.rest, lines)
-        place = search(tail)
-        error = tail.error(place.cut)
-        if not (is_whole_lattice(lines) and error > _DOUBTFUL):
-            return sign, tail, place
-        axial = _KnownTailByLines(sign * self.rest, lines, is_axial=True)
-        again = search(axial)
-        moved = abs(again.threshold - place.threshold) * place.cut.density
-        agrees = abs(again.cut.below - place.cut.below) + moved <= _COVERED * error
-        return (sign, axial, again) if agrees and axial.error(again.cut) < error else (sign, tail, place)
-
-    def _slopes(self, by_mean: float, by_others: Float[np.ndarray, " terms"]) -> Float[np.ndarray, " terms"]:
-        return np.where(np.arange(len(by_others)) > 0, by_others, by_mean)
-
-    def chance(self, value: Any, *, above: bool, or_equal: bool = False) -> Known:
-        """The probability of more than a value, or of less."""
-        rounding = EQUAL * float(np.sqrt(np.sum(self.coefficients**2)))
-        off = float(value) - float(self.coefficients[0]) + (rounding if above != or_equal else -rounding)
-        threshold = -abs(off)
-        sign, tail, (_, at, _) = self._side(lambda tail: _Place(threshold, tail.cut(threshold)), is_lower=off < 0)
-        beyond, slopes = tail.below(threshold, at)
-        # By the mean, from the density; by what follows, through the sign of the tail's own coefficients.
-        slopes = self._slopes(-sign * at.density, sign * slopes)
-        is_beyond = (off < 0) != above
-        return Known(beyond if is_beyond else 1 - beyond, tail.error(at), slopes if is_beyond else -slopes)
-
-    def between(self, low: Any, high: Any) -> Known:
-        """The probability of values between two, these included."""
-        under, over = self.chance(low, above=False, or_equal=True), self.chance(high, above=True, or_equal=True)
-        return Known(1 - under.value - over.value, under.error + over.error, -under.slopes - over.slopes)
-
-    def quantile(self, level: Any) -> Known:
-        """The value that the output stays below with a probability."""
-        is_lower = float(level) < 0.5
-        own = float(level) if is_lower else 1 - float(level)
-        sign, tail, (quantile, at, slopes) = self._side(lambda tail: tail.quantile(own), is_lower=is_lower)
-        share = tail.error(at)
-        error = abs(quantile) if share > own / 2 else share / at.density if at.density > 0 else 0.0
-        return Known(float(self.coefficients[0]) + sign * quantile, error, self._slopes(1.0, slopes))
-
-    def mean_beyond(self, level: Any, *, lower: bool) -> Known:
-        """The mean of the values below a quantile, or above it."""
-        level = float(level)
-        is_lower = level < 0.5
-        own = level if is_lower else 1 - level
-        sign, tail, (quantile, at, moving) = self._side(lambda tail: tail.quantile(own), is_lower=is_lower)
-        shortfall, slopes = tail.shortfall(quantile, at)
-        # The quantile contributes where many systems share it: else as much lies below as the level says.
-        below, slopes = quantile - shortfall / own, moving * (1 - at.below / own) - slopes / own
-        # The mean of all is zero, so that those on the other side of the quantile balance these.
-        factor = 1.0 if is_lower == lower else -own / (1 - own)
-        slope = abs(factor * below - quantile) / (level if lower else 1 - level)
-        value = float(self.coefficients[0]) + sign * factor * below
-        return Known(value, tail.error(at) * slope, self._slopes(1.0, factor * slopes))

@@ -22,7 +22,7 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar, in_library, jax_array, numbers_to_arrays, quietly
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
-from aleator.statistics._known_tails import KnownDistribution
+from aleator.statistics._known_distribution import KnownDistribution
 from aleator.statistics._lines import SINGLE, AnyLines, Cloud
 from aleator.statistics._lower_tails import EQUAL, AbstractLowerTail, Cut, lower_tail
 from aleator.statistics._statistic import Std, in_blocks, root
