@@ -215,7 +215,9 @@ class Stages(NamedTuple):
             return replace(outcome, status=Status.FAILED, message=missed).with_effort_of(further)
         if not least.is_shown:
             return outcome
-        pushing = (name for name, rows in zip(simulated.problem.names, least.pushing, strict=True) if len(rows))
+        problem = simulated.problem
+        limits = (problem.named(name) for name, rows in zip(problem.names, least.pushing, strict=True) if len(rows))
+        pushing = (own[0].name + (f" ({'; '.join(map(str, own))})" if len(own) > 1 else "") for own in limits)
         said = f" (the solver said: {outcome.visited.end})" if outcome.visited else ""
         message = (
             f"Relax a limit: no design was found that meets all of these, whatever it costs: {', '.join(pushing)}; "
