@@ -132,6 +132,28 @@ def test_elements_are_divided_where_the_kink_is_at_the_answer():
     assert values == pytest.approx([(0.7**2 + 0.3**2) / 2, 0.2], abs=1e-4)
 
 
+class Stocked(al.AlgebraicSystem):
+    """What it costs to stock too little or too much for a demand."""
+
+    demand: al.Number
+    stock: al.Number
+
+    def outputs(self):
+        missing = self.demand - self.stock
+        return {"cost": 3.0 * jnp.maximum(missing, 0.0) + jnp.maximum(-missing, 0.0)}
+
+
+@pytest.mark.slow
+def test_the_least_mean_of_a_kink_is_at_the_quantile_that_its_slopes_say():
+    """Between two collocation points the mean is flat, up to rounding."""
+    stocked = Stocked(al.Uniform.bounds(0.0, 1.0), al.Decision(0.3, 0.0, 5.0))
+    elements = al.MultiElement(order=3, error=1e-3)
+    solution = al.solve(al.Problem(stocked, minimize=al.output("cost").mean, expansion=elements))
+    assert solution.ok
+    assert solution.decisions["stock"] == pytest.approx(0.75, abs=1e-3)
+    assert solution.objective == pytest.approx(0.375, abs=1e-6)
+
+
 @pytest.mark.slow
 def test_a_quantile_that_many_systems_share_moves_with_them():
     """Half of all systems rest on the stop, which their median therefore is."""

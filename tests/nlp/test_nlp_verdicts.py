@@ -109,6 +109,19 @@ def test_a_minimum_at_a_kink_is_no_solution_unless_it_is_known_to_be_least(solve
     assert not replace(solver, max_iterations=1).solve(replace(declared, least=0.0)).ok
 
 
+@pytest.mark.parametrize("solver", [FilterSQP(), Ipopt(), Slsqp()], ids=["filterSQP", "IPOPT", "SLSQP"])
+def test_a_flat_floor_is_a_minimum_whatever_its_slope_of_rounding(solver):
+    """The distance from an interval: beside it slopes are one, in it they are rounding."""
+
+    def evaluate(x):
+        below, above = max(1.0 - x[0], 0.0), max(x[0] - 2.0, 0.0)
+        return evaluation(0.375 + below + above, [float(above > 0.0) - float(below > 0.0) - 4e-16])
+
+    outcome = solver.solve(program(evaluate, [0.3]))
+    assert outcome.status is Status.SOLVED
+    assert 1.0 - 1e-6 <= outcome.point[0] <= 2.0 + 1e-6
+
+
 @pytest.mark.parametrize("limit", [(-INF, 0.5), (0.5, INF)])
 def test_the_answer_to_an_infeasible_program_says_so_whatever_it_is_divided_by(solver, limit):
     # A row of at least 1.2 for the first and the third, of at most -1.2 for the second.

@@ -66,6 +66,8 @@ def _held(tolerance: float) -> float:
     return min(HELD, tolerance)
 
 
+# A slope by which nothing would change, over a typical magnitude, by more than so many rounding errors is none.
+_FLAT = 8.0
 # Rows of a sparse program whose multipliers are fitted where a solver's own do not certify it.
 _MOST_FITTED = 2000
 # How often an answer is left for a lower point close by before the solver is asked again.
@@ -237,8 +239,10 @@ def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
     size = float(np.minimum(np.abs(evaluation.gradient), np.abs(pushes)).max())
     if largest <= tolerance * size:
         return size
-    # The change of the Lagrangian's gradient over a typical magnitude against the remainder.
     direction = max(1.0, float(np.abs(z).max())) * remainder / largest
+    if abs(float(remainder @ direction)) <= _FLAT * np.finfo(float).eps * scaled.terms(evaluation, multipliers):
+        return 1.0
+    # The change of the Lagrangian's gradient over a typical magnitude against the remainder.
     try:
         changes = scaled.curvature(z, multipliers, direction[:, None])
     except NotFiniteError:
