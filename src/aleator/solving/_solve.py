@@ -26,6 +26,8 @@ from aleator.uncertainty import intervals_of, tables_of
 
 # The finest accuracy of a grid that may be asked for.
 _FINEST = 1e-9
+# Finer grids that may replace bounds beside jumps; on the next one tightened bounds have to hold limits there.
+_MOST_FINER = 2
 
 
 class Call(NamedTuple):
@@ -214,7 +216,8 @@ def _solved_at_once(call: Call) -> Solution:
         solution, held = _answer(stages, problem, first, *known)
         solutions = [solution]
         while call.refine is not False and (plan := refinement(solutions, between=not call.refine)) is not None:
-            stages = stages._replace(transcription=stages.transcription.starting_from(solution))
+            start_from = stages.transcription.starting_from(solution)
+            stages = stages._replace(transcription=start_from, keeps_grid=len(solutions) >= _MOST_FINER)
             further, with_further = _answer(stages, plan, solution.vector)
             if solution.ok and not (further.ok or call.refine):
                 break
