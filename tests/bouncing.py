@@ -67,9 +67,9 @@ def agreeing(simulated, exact, at, order):
     return jax.tree.map(np.asarray, compiled(lambda at: [(ours(at), right(at)) for ours, right in both])(np.array(at)))
 
 
-def refused(system, grid, *words):
+def refused(system, grid, *words, integrator=None):
     with pytest.warns(al.SimulationWarning) as caught:
-        history = al.simulate(system, grid)
+        history = al.simulate(system, grid, integrator=integrator)
     assert np.isnan(np.asarray(next(iter(history.values())))[-1]).all()
     for word in words:
         assert word in str(caught[0].message)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from bouncing import ADAPTIVE, Ball, agreeing
+from bouncing import ADAPTIVE, LANDED, Ball, Grazing, Parts, Stopped, agreeing, refused
 from compiling import compiled
 from zoo import G, Shot, cases
 
