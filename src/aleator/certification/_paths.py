@@ -88,10 +88,13 @@ class LimitedPath(NamedTuple):
         - `known`: what rows limit instead at present; `at_peaks`: whether they may limit peaks.
         """
         fine, by, instead, is_coarse = np.arange(len(self.limit.fine)), np.zeros(self.rows.shape), {}, False
-        smooth = self._smooth() if at_peaks else np.zeros(0, int)
+        smooth, beside = (
+            self._smooth() if at_peaks else np.zeros(0, int),
+            [self._beside(one.place) for one in self.jumps],
+        )
         for entry, beyond in enumerate(self._excess(self.limit.fine).T):
             peaking = [i for (i, of), one in known.items() if of == entry and isinstance(one, Peak)]
-            sides, ends = self._sides(entry)
+            sides, ends = self._sides(entry, beside)
             every = [*self._peaks(entry, beyond, (np.array(peaking, int), smooth)), *filter(None, ends)]
             is_coarse |= None in ends
             own = beyond.copy()
@@ -148,14 +151,18 @@ class LimitedPath(NamedTuple):
                 every[i] = _Instead(i, peak, height, places[i - 1], places[i + 1])
         return [*every.values()]
 
-    def _sides(self, entry: int) -> "tuple[list[tuple[float, float, float]], list[_Instead | None]]":
+    def _sides(
+        self, entry: int, beside: list[tuple[Int[np.ndarray, " before"], Int[np.ndarray, " after"]]]
+    ) -> "tuple[list[tuple[float, float, float]], list[_Instead | None]]":
         """The places of jumps, each with the excess before and after it that margins have to prevent; and the sides
         that could break the limit and that a row limits, None for those beside which there is one row alone.
+
+        - `beside`: the rows next to each jump.
         """
         sides, ends = [], []
-        for place, *values in self.jumps:
+        for (place, *values), rows in zip(self.jumps, beside, strict=True):
             excesses = []
-            for value, nearest in zip(values, self._beside(place), strict=True):
+            for value, nearest in zip(values, rows, strict=True):
                 excess, instead = float(self._excess(value[entry])), None
                 own = float(self._excess(self.rows[nearest[0], entry])) if nearest.size else -np.inf
                 # A path that falls towards a jump is limited by its rows.
