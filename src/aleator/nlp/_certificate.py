@@ -210,8 +210,8 @@ _NOTICEABLE, _BESIDE_START, _ROUNDING = 1e-3, 1e-8, 1e-13
 # Rows and bounds hold a point if their multipliers are above this, and if they are this close: beside a large
 # multiplier, interior points leave others anywhere.
 _PRESSES, _NEAR = 1e-7, 1e-4
-# Length of a step along negative curvature, in magnitudes of the variables.
-_LEAVE = 0.05
+# Length of a step along negative curvature, in magnitudes of the variables, and the longest that is none.
+_LEAVE, _STILL = 0.05, 1e-8
 # Curvature below this part of the largest is rounding.
 _FLAT = 1e-13
 # Directions of which less than this part is left beside the active rows are held by these.
@@ -302,6 +302,7 @@ def _steps(
     sizes = np.where(sure, sizes, 0.0)
     longest = np.maximum(sizes, steepness)
     newton = np.divide(-slopes, longest, out=np.zeros_like(slopes), where=longest > 0)
+    newton[np.abs(newton) < _STILL] = 0.0
     # Without curvature a step is as long as the variables are, whatever the slope: rounding is none.
     newton[~sure & (steepness <= noticeable / max(slopes.size, 1))] = 0.0
     leaves = (curvatures < 0) & (np.abs(newton) < _LEAVE) & (sizes * _LEAVE**2 / 2 > noticeable)

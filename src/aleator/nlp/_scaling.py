@@ -131,7 +131,8 @@ class ScaledProgram:
         first = self.evaluations.finite_at(self.unscaled(self.start))
         steepest = float(np.abs(first.gradient[self._free] * self._variable_scale).max(initial=0.0))
         self._objective_origin = first.objective
-        objective = max(steepest / _FIRST_STEP, _ROUNDING * abs(first.objective)) or 1.0
+        size = abs(first.objective)
+        objective = steepest / _FIRST_STEP if steepest / _FIRST_STEP > _ROUNDING * size else size or 1.0
         self.rescale(self.start, self.scales._replace(objective=objective))
         self.evaluate(self.start)
 

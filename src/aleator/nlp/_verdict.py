@@ -240,8 +240,9 @@ def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
     if largest <= tolerance * size:
         return size
     direction = max(1.0, float(np.abs(z).max())) * remainder / largest
-    if abs(float(remainder @ direction)) <= _FLAT * np.finfo(float).eps * scaled.terms(evaluation, multipliers):
-        return 1.0
+    terms = scaled.terms(evaluation, multipliers)
+    if abs(float(remainder @ direction)) <= _FLAT * np.finfo(float).eps * terms:
+        return max(size, terms)
     # The change of the Lagrangian's gradient over a typical magnitude against the remainder.
     try:
         changes = scaled.curvature(z, multipliers, direction[:, None])

@@ -21,7 +21,7 @@ from aleator.design import (
     uncertain,
     unsolved,
 )
-from aleator.ensemble import fill, inputs_at, listed, parts
+from aleator.ensemble import fill, inputs_at, listed
 from aleator.nlp import HELD
 from aleator.solution import Solution
 from aleator.uncertainty import refuse_intervals
@@ -32,9 +32,9 @@ from aleator.validation._shares import is_counted
 _AN_ORDER_BELOW = 0.1
 # Where nothing is uncertain, the one system is simulated on so many times as many steps.
 _ALONE = 10
-# How many systems are simulated at a time on the grid for limits over time where histories are stored, so that it needs
-# no more memory.
-_FEW = 50
+# So many systems at a time are simulated on the grid for limits over time, those nearest to a limit first, until the
+# others are further from it than so many times the largest difference that the finer grid has made.
+_FEW, _FAR = 50, 10
 
 
 def sampled_by(solution: Solution) -> int:
@@ -62,7 +62,8 @@ class Systems:
 
     - `problem`: the problem with its distributions restored; `germs`: their variables;
     - `factor`: how many times as many steps as the design's grid has that for simulations (see `al.validate`), on which
-      `sampled` is the problem; `counted`: the same of the grid on which the limits `over_time` are counted;
+      `sampled` is the problem; `counted`: the same of the grid on which the limits `over_time` are counted. Where it is
+      finer, systems are simulated on it too that are so near to a limit that the grids may disagree about them;
     - `folds`: whether systems can be simulated without storing histories.
 
     Raises `ProblemError`, in the name of the caller `who`, where there is nothing to simulate.
@@ -97,7 +98,7 @@ class Systems:
 
     def prepare(self, batch: int, *, is_folded: bool = False) -> None:
         """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
-        finer = self._finer, self._at_once(batch), 1, self._folds_finer
+        finer = self._finer, _FEW, 1, self._folds_finer
         for problem, size, *how in ((self.sampled, batch, self.factor, is_folded), finer):
             if problem is not None:
                 germ = jax_array(np.zeros((size, len(self.germs))))
@@ -115,17 +116,19 @@ class Systems:
         """
         found = self._simulated(self.sampled, germ, batch, keep, self.factor, is_folded)
         excess = found.excess - self._tolerances
-        if self._finer is not None:
-            few = self._at_once(batch)
-            how = few, 0, 1, self._folds_finer
-            some = (self._simulated(self._finer, part.points, *how) for part in parts(germ, few))
-            beyond = np.concatenate([one.excess for one in some], axis=1)
-            excess[self.over_time] = beyond - self._tolerances[self.over_time]
+        if self._finer is None:
+            return found._replace(excess=excess)
+        rows, apart, done = self.over_time, 0.0, 0
+        sizes = self._tolerances[rows]
+        distances = np.min(np.abs(excess[rows]) / sizes, axis=0)
+        nearest = np.argsort(distances, kind="stable")
+        while done < len(germ) and (not done or distances[nearest[done]] <= _FAR * apart):
+            some = nearest[done : done + _FEW]
+            beyond = self._simulated(self._finer, germ[some], _FEW, 0, 1, self._folds_finer).excess - sizes
+            apart = max(apart, float(np.max(np.abs(beyond - excess[rows][:, some]) / sizes)))
+            excess[np.array(rows)[:, None], some] = beyond
+            done += _FEW
         return found._replace(excess=excess)
-
-    def _at_once(self, batch: int) -> int:
-        """How many systems of a batch are simulated together on the finer grid."""
-        return batch if self._folds_finer else min(_FEW, batch)
 
     def _simulated(
         self,

@@ -133,7 +133,7 @@ def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
 # Stretches of a sample at most: a millisecond each is spent on beginning one elsewhere, and as much on keeping one.
 _MOST = 128
 # Systems times instants from which a second compilation, of a program without histories, is worth while.
-_MANY = 2e8
+_MANY = 3e7
 # Without histories more systems are simulated at a time, because each step of a loop has a cost of its own.
 _TOGETHER = 4
 
