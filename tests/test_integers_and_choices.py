@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+import zoo
 from aleator.solving import _integers
 from zoo import HALF_WIDTH, MASS, STRESS, Bar, cases
 
@@ -116,6 +117,21 @@ def test_what_no_combination_can_meet_is_said():
         al.solve(between)
 
 
+@pytest.mark.parametrize("offset", [0.0, -20.0])
+def test_a_leaf_that_begins_at_its_optimum_is_solved(offset):
+    """A parabola that is exactly zero at the best integer, less an offset beside which its slopes are rounding."""
+
+    @zoo.algebraic
+    def valley(n, x, off):
+        return {"f": offset + (n - 2.27) ** 2 + (x - 0.47 * n - 0.64) ** 2 + 0.2 * off * x}
+
+    model = valley(al.Integer(3, 0, 60), al.Decision(1.0, 0.0, 200.0), al.Uniform(0.0, half_width=1.0))
+    solution = al.solve(al.Problem(model, minimize=al.output("f").mean))
+    assert solution.decisions["n"] == 2.0
+    assert solution.objective == pytest.approx(offset + 0.27**2, abs=1e-6)
+    assert branching_of(solution).passed_over == 0
+
+
 class Ripple(al.AlgebraicSystem):
     """A wave that no polynomial of low order follows where it is short."""
 
@@ -130,9 +146,11 @@ class Ripple(al.AlgebraicSystem):
 def test_a_combination_whose_certificate_fails_is_passed_over_and_that_is_told():
     model = Ripple(al.Choice([1.0, 25.0]), al.Normal(0.0, 0.5))
     problem = al.Problem(model, minimize=-al.output("waves").mean + al.output("height").std)
-    solution = al.solve(problem)
+    with pytest.warns(al.AleatorWarning, match=r"A better combination .* was passed over, waves=25 \(objective -24"):
+        solution = al.solve(problem)
     assert solution.decisions["waves"] == 1.0
     assert branching_of(solution).passed_over == 1
+    assert branching_of(solution).bound < -24.0  # the spread of a sine is at most 1
     assert not branching_of(solution).is_proven
     assert "1 were passed over" in str(solution)
 

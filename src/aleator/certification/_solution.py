@@ -263,6 +263,12 @@ def doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
                 f"constraint '{one.name}' is taken to hold: its values, {largest:.2g} at most, count as rounding of "
                 "zero. If they mean something, let the output be in a smaller unit",
             )
+    if solution.branching is not None and solution.branching.better:
+        yield (
+            AleatorWarning,
+            f"a better combination of integers and choices was passed over, {solution.branching.better}, since its "
+            "certificate failed. Solve the problem with these values in place of the integers to see why",
+        )
     mesh, error, between = solution.mesh, certificate.grid_error, certificate.between
     if mesh is not None and not mesh.is_met:
         yield (

@@ -29,6 +29,7 @@ class Branching(Printed):
     - `passed_over`: candidates whose certificate failed, or whose solve did, and which may be better than the answer;
     - `bound`: no combination has an objective below it, as far as each node was solved to its *global* optimum: so it
       is where the relaxed problem is convex, which nobody checks. `gap`: the objective less the bound;
+    - `better`: the best combination that was passed over, if its node is below the answer, in words; else empty;
     - `is_finished`: whether all nodes below the answer were looked at; else Ctrl-C or the limit of nodes ended it;
     - `is_proven`: whether no local optimum is involved: every combination was tried, and nothing else is decided.
     """
@@ -40,11 +41,13 @@ class Branching(Printed):
     listed: bool
     bound: float
     gap: float
+    better: str
     is_finished: bool
     is_proven: bool
 
     def __str__(self) -> str:
         passed = f"; {self.passed_over} were passed over, whose certificates failed" if self.passed_over else ""
+        passed += f", {self.better} among them" if self.better else ""
         if self.listed and self.is_finished:
             local = "" if self.is_proven else ", each to a local optimum"
             return f"the best of {self.combinations} combinations, all of which were solved{local}{passed}"

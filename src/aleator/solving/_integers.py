@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -19,10 +20,11 @@ from jaxtyping import Float, Int
 
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, with_simulation
+from aleator.ensemble import listed
 from aleator.nlp import AbstractLocalSolver, AbstractSolver, Outcome, Status
 from aleator.solution import Branching, Solution
 from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
-from aleator.uncertainty import Table, tables_of, with_decisions
+from aleator.uncertainty import Placements, Table, tables_of, with_decisions
 
 Full = Callable[[Problem, Mapping[str, Any]], Solution]
 Rows = tuple[int, ...]
@@ -56,7 +58,7 @@ class Tree:
 
     - `decided`: the complete solution with some rows, from a point; `nodes`: the outcomes of all nodes;
     - `tried`: rows that were solved in full; `answer`: the best solution so far; `passed`: those that are none or were
-      refused, though a node met the limits.
+      refused, though a node met the limits, with the optimum of their nodes and the rows.
     """
 
     transcribed: AbstractTranscribed
@@ -66,7 +68,7 @@ class Tree:
     tried: set[Rows] = field(default_factory=set)
     open: list[Node] = field(default_factory=list)
     answer: Solution | None = None
-    passed: list[Solution | ProblemError] = field(default_factory=list)
+    passed: list[tuple[float, Rows, Solution | ProblemError]] = field(default_factory=list)
     nodes: list[Outcome] = field(default_factory=list)
 
     def grow(self, left: Left, start: np.ndarray, bound: float = -np.inf) -> None:
@@ -117,12 +119,12 @@ class Tree:
         try:
             solution = self.decided(rows, node.point)
         except ProblemError as error:
-            self.passed.append(error)
+            self.passed.append((node.bound, rows, error))
             return np.inf
         if solution.ok and (self.answer is None or solution.objective < self.answer.objective):
             self.answer = solution
         if not (solution.ok or solution.status is Status.INFEASIBLE):
-            self.passed.append(solution)
+            self.passed.append((node.bound, rows, solution))
         return solution.objective if solution.ok else np.inf
 
     def step(self) -> None:
@@ -185,9 +187,9 @@ def branched(
     tree = Tree(transcribed, solver, tables, decided)
     every = tuple(np.arange(len(table.rows)) for table in tables)
     combinations, interrupted = math.prod(map(len, every)), False
-    listed = combinations <= _LISTED
+    is_listed = combinations <= _LISTED
     try:
-        for left in itertools.product(*every) if listed else [every]:
+        for left in itertools.product(*every) if is_listed else [every]:
             tree.grow(tuple(map(np.atleast_1d, left)), start)
         while not tree.is_over and len(tree.nodes) < _MOST:
             tree.step()
@@ -201,24 +203,37 @@ def branched(
     if tree.answer is None:
         return _as_declared(_unsolved(tree, every), problem, None, tree.nodes)
     objective, alone = tree.answer.objective, sum(len(table.where) for table in tables) == places.size
+    better = [one for one in tree.passed if -np.inf < one[0] < objective - _SAME * abs(objective)]
+    lowest = min([tree.bound, *(bound for bound, *_ in better)])
     branching = Branching(
         combinations=combinations,
         nodes=len(tree.nodes),
         candidates=len(tree.tried),
         passed_over=len(tree.passed),
-        listed=listed,
-        bound=min(tree.bound, objective),
-        gap=max(0.0, objective - tree.bound),
+        listed=is_listed,
+        bound=min(lowest, objective),
+        gap=max(0.0, objective - lowest),
+        better=_in_words(places, tables, *min(better, key=itemgetter(0))[:2]) if better else "",
         is_finished=tree.is_over,
-        is_proven=listed and tree.is_over and alone and not tree.passed,
+        is_proven=is_listed and tree.is_over and alone and not tree.passed,
     )
     answer = replace(tree.answer, status=Status.INTERRUPTED) if interrupted else tree.answer
     return _as_declared(answer, problem, branching, tree.nodes)
 
 
+def _in_words(places: Placements, tables: tuple[Table, ...], bound: float, rows: Rows) -> str:
+    """A combination and the optimum of its node."""
+    vector = places.vector("initial")
+    for table, row in zip(tables, rows, strict=True):
+        vector[table.where] = table.rows[row]
+    values = places.named(vector)
+    chosen = {name: values[name] for name, one in places.decisions.items() if one.decision.values is not None}
+    return f"{listed(chosen)} (objective {bound:.6g})"
+
+
 def _unsolved(tree: Tree, every: Left) -> Solution:
     """What is said where no combination is an answer: the first whose certificate failed, else the least violated."""
-    for one in tree.passed:
+    for _, _, one in tree.passed:
         if isinstance(one, ProblemError):
             raise one
         return one
