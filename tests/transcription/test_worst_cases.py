@@ -80,6 +80,12 @@ def test_a_system_that_breaks_a_limit_on_the_worst_case_is_an_alarm():
         assert not al.validate(broken, 5000).agrees
 
 
+def test_the_zone_of_a_tolerance_ends_where_its_normal_distribution_goes_on():
+    part = al.Toleranced(0.5, tolerance=0.3)
+    solution = al.solve(largest_gain("a square", a=part, b=0.0))
+    assert solution.decisions["gain"] == pytest.approx(1 / 0.8**2, rel=1e-6)
+
+
 def test_a_lower_limit_is_held_from_below_and_both_limits_at_once():
     solution = al.solve(largest_gain("two sides", Y.within(-1.0, 1.0, worst_case=True)))
     assert solution.decisions["gain"] == pytest.approx(-1.0 / LOW, rel=1e-6)

@@ -132,6 +132,7 @@ def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndar
     """
     assert transcribed.scenarios is not None
     present = oracle.unit(np.concatenate([transcribed.scenarios.held, np.asarray(transcribed.collocation.points)]))
+    present = np.clip(present, 0.0, 1.0)  # a tolerance ends where its normal distribution goes on
     variables, generator = present.shape[1], np.random.default_rng(seed)
     middle = np.full((1, variables), 0.5)
     ends = middle + np.kron(np.eye(variables), [[-0.5], [0.5]])

@@ -132,7 +132,8 @@ class Front(Drawn):
 
     def doubts(self) -> tuple[str, ...]:
         """What speaks for better designs than these: sentences, without a capital letter and a full stop."""
-        bettered = [f"{value:.6g}" for value, one in zip(self.values, self.neighbours, strict=False) if one is not None]
+        led = [near is not None and ok for near, ok in zip(self.neighbours, self.solved, strict=False)]
+        bettered = [f"{value:.6g}" for value in self.values[: len(led)][led]]
         if not bettered:
             return ()
         return (
