@@ -200,8 +200,9 @@ class MarginSearch:
         return low.sigmas + (high.sigmas - low.sigmas) * float(np.clip(share, 0.1, 0.9))
 
     def _reach(self, trial: Trial) -> float:
-        """How far to go to the other side of the aim: a fifth more than where normal outputs have it, and ever more."""
-        return (1.2 * abs(self._level(trial)) + 0.02 * trial.sigmas) * 2.0 ** (len(self.trials) - 1)
+        """How far to go to the other side of the aim: a little more than where normal outputs have it, or half."""
+        further = (1.2 * abs(self._level(trial)) + 0.02 * trial.sigmas) * 2.0 ** (len(self.trials) - 1)
+        return min(further, 0.5 * trial.sigmas + 0.1)
 
     def _level(self, trial: Trial) -> float:
         """The distance from the aim in normal quantiles: positive where violated too often."""

@@ -135,7 +135,7 @@ _MOST = 128
 # Systems times instants from which a second compilation, of a program without histories, is worth while.
 _MANY = 3e7
 # Without histories more systems are simulated at a time, because each step of a loop has a cost of its own.
-_TOGETHER = 4
+_TOGETHER = 8
 
 
 class Stretch(NamedTuple):
