@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.border import real
 from aleator._core.compilation import Use, evaluate, evaluate_traced
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.identity import traced_once
@@ -44,7 +45,7 @@ from aleator.statistics import (
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Germ values of unbounded distributions are sought between these probability levels.
-_FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
+_FURTHEST_LEVELS, _FURTHEST = (1e-300, 1 - 1e-16), 600
 
 _CONTRIBUTORS = 4
 _LEAST_SHARE = 0.001
@@ -253,15 +254,15 @@ def germ_of(distributions: Mapping[str, AbstractDistribution], inputs: Mapping[s
     Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or if that
     depends on several germ variables.
     """
-    if set(inputs) != set(distributions):
-        raise ProblemError(f"Expected a value for each of {list(distributions)}; received {list(inputs)}.")
+    if not isinstance(inputs, Mapping) or set(inputs) != set(distributions):
+        raise ProblemError(f"Expected a dict with a value for each of {list(distributions)}; received {inputs!r}.")
     point = {}
     for name, distribution in distributions.items():
         germs = distribution.germs(name)
         if len(germs) != 1:
             raise ProblemError(f"'{name}' depends on the germ variables {list(germs)}: use at_germ(points).")
         ((variable, germ),) = germs.items()
-        point[variable] = _inverted(name, distribution, germ, float(inputs[name]))
+        point[variable] = _inverted(name, distribution, germ, real(name, inputs[name]))
     return point
 
 
@@ -271,10 +272,13 @@ def _inverted(name: str, distribution: AbstractDistribution, germ: AbstractGerm,
     def excess(point: float) -> float:
         return float(jax.lax.stop_gradient(distribution.realised((jax_array(point),)))) - value
 
+    ends = germ.support()
     low, high = (
         end if np.isfinite(end) else float(germ.quantile(np.array(level)))
-        for end, level in zip(germ.support(), _FURTHEST_LEVELS, strict=True)
+        for end, level in zip(ends, _FURTHEST_LEVELS, strict=True)
     )
+    while np.isinf(ends[1]) and high < _FURTHEST and excess(high) < 0:
+        high *= 2
     rounding = 1e-12 * (1 + abs(value))
     if excess(low) > rounding or excess(high) < -rounding:
         raise ProblemError(f"'{name}' = {value:g} lies outside its distribution {distribution}.")

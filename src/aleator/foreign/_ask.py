@@ -165,12 +165,14 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
         if is_comment and not np.isfinite(values).all():
             continue
         part = _ENTRY.fullmatch(name)
-        if part is None:
-            columns[name] = values
+        own, place = (name, None) if part is None else (part[1], int(part[2]))
+        entries = columns.setdefault(own, values if place is None else [])
+        if isinstance(entries, list) != (place is not None):
+            raise ProblemError(f"{path}: expected either a column {own!r} or its entries {own}[0], ...; received both.")
+        if place is None:
             continue
-        entries = columns.setdefault(part[1], [])
-        if int(part[2]) != len(entries):
-            raise ProblemError(f"{path}: expected {part[1]}[{len(entries)}] next; received the column {name!r}.")
+        if place != len(entries):
+            raise ProblemError(f"{path}: expected {own}[{len(entries)}] next; received the column {name!r}.")
         entries.append(values)
     return {name: np.stack(values, axis=1) if isinstance(values, list) else values for name, values in columns.items()}
 

@@ -303,24 +303,26 @@ class Correlation(AbstractStatistic):
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
         _, coefficients = in_library(coefficients)
-        return _cosine(coefficients[1:])
+        return _cosine(coefficients[1:], coefficients[0])
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
         library, values = in_library(values)
-        return _cosine(values - library.mean(values, axis=0)[None])
+        mean = library.mean(values, axis=0)
+        return _cosine(values - mean[None], mean * len(values) ** 0.5)
 
 
 @quietly
-def _cosine(vectors: Float[Array, "n *shape 2"]) -> Float[Array, "*shape"]:
-    library, vectors = in_library(vectors)
+def _cosine(vectors: Float[Array, "n *shape 2"], beside: Float[Array, "*shape 2"]) -> Float[Array, "*shape"]:
+    """The cosine of the angle between two vectors; zero where one is rounding of the number beside it."""
+    library, vectors, beside = in_library(vectors, beside)
     first, second = _both(vectors)
     # One root each, because the product of both squares overflows earlier.
     _, *sizes = in_library(*(root(library.sum(one**2, axis=0)) for one in (first, second)))
-    size = sizes[0] * sizes[1]
-    constant = size == 0
-    share = library.sum(first * second, axis=0) / library.where(constant, 1.0, size)
-    return jax_array(library.where(constant, 0.0, share))
+    rounding = ROUNDING * abs(beside)
+    constant = (sizes[0] <= rounding[..., 0]) | (sizes[1] <= rounding[..., 1])
+    size = library.where(constant, 1.0, sizes[0] * sizes[1])
+    return jax_array(library.where(constant, 0.0, library.sum(first * second, axis=0) / size))
 
 
 def _both(stacked: Float[Array, "n *shape outputs"]) -> tuple[Float[Array, "n *shape"], Float[Array, "n *shape"]]:
