@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 import aleator as al
 from aleator._core.compilation import _EVALUATED
@@ -72,6 +73,18 @@ def test_the_surrogate_takes_inputs_germ_points_and_samples():
             expanded(wrong)
     with pytest.raises(al.ProblemError, match=r"shape \(n, 2\)"):
         expanded.at_germ([0.0, 0.0])
+    square = al.expand(lambda m: m["x"] ** 2, {"x": al.Normal(0.0, 1.0)}, al.Expansion(2))
+    assert [float(square({"x": far})) for far in (20.0, -20.0)] == pytest.approx([400.0, 400.0], rel=1e-12)
+    for wrong in (np.inf, np.nan, [1.0], None):
+        with pytest.raises(al.ProblemError, match="x: expected a finite number"):
+            square({"x": wrong})
+
+
+def test_moments_of_few_data_are_theirs_at_every_order_that_they_carry():
+    data = np.array([0.0, 1.0, 1.0, 3.0, 7.0])
+    expanded = al.expand(lambda m: m["x"] ** 2, {"x": al.Sample(data)}, al.Expansion(3, points=al.points.GaussPoints()))
+    assert float(expanded.skewness) == pytest.approx(stats.skew(data**2), rel=1e-12)
+    assert float(expanded.kurtosis) == pytest.approx(stats.kurtosis(data**2, fisher=False), rel=1e-12)
 
 
 def call_by_call(model):

@@ -132,6 +132,7 @@ def renumbered(table):
         (lambda table: [*table, table[3]], "sample 4 has 2 rows"),
         (lambda table: [{k: v for k, v in row.items() if k != "sample"} for row in table], "['sample'] are missing"),
         (lambda table: [{k: v for k, v in row.items() if k != "v[1]"} for row in table], "expected v[1] next"),
+        (lambda table: [row | {"v": 1.0} for row in table], "either a column 'v' or its entries v[0], ...; received"),
         (
             lambda table: [*table[:4], table[4] | {"y": "NA"}, *table[5:]],
             "row 5: could not convert string to float: 'NA'",

@@ -166,8 +166,9 @@ def simulate(
     returned as `"time"`, unless the system has an output of that name. `only` lists the names of the outputs wanted
     (default: all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
     `SimulationWarning` says so; where rates jump at a time that no input declares (`StepFunction`, `Tabulated`), which
-    costs fixed steps their order, a `GridWarning`. Equations are traced at each call and compiled once: the same with
-    other numbers take milliseconds.
+    costs fixed steps their order, a `GridWarning`. Nothing else checks the steps here, as `al.solve` does: where they
+    may be too long, compare with `grid.finer(3)` or let `al.integrators.Tsit5()` choose them. Equations are traced at
+    each call and compiled once: the same with other numbers take milliseconds.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system

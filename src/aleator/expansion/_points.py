@@ -14,7 +14,6 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion._basis import Basis
 from aleator.uncertainty import AbstractGerm
@@ -329,8 +328,5 @@ def _induced(
 
 
 def _roots(germ: AbstractGerm, highest: int) -> Float[np.ndarray, " roots"]:
-    """The roots of a fine Gauss rule, or of one that just suffices if a data sample allows no finer."""
-    try:
-        return germ.gauss(2 * highest + _FINE)[0]
-    except ProblemError:
-        return germ.gauss(max(highest, 1) + 1)[0]
+    """The roots of a fine Gauss rule; of data, at most their distinct values."""
+    return germ.gauss(2 * highest + _FINE)[0]

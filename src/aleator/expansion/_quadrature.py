@@ -48,7 +48,7 @@ class GaussPoints(AbstractPoints):
             )
         _refuse_large_rule(max(counts))
         rules = [germ.gauss(count) for germ, count in zip(basis.germs.values(), counts, strict=True)]
-        rows = _grid(counts)
+        rows = _grid([len(roots) for roots, _ in rules])
         points = np.column_stack([roots[row] for (roots, _), row in zip(rules, rows.T, strict=True)])
         weights = np.prod([weight[row] for (_, weight), row in zip(rules, rows.T, strict=True)], axis=0)
         return Nodes(points, weights / weights.sum())

@@ -22,7 +22,6 @@ from aleator.uncertainty import (
     HermiteGerm,
     Normal,
     Placements,
-    SampleGerm,
     pearson,
     placements,
     realise,
@@ -321,9 +320,9 @@ def _variables(inputs: Inputs) -> _Variables:
 
 def _rule(germ: AbstractGerm) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
     """Gauss nodes and weights of a germ. Data of few values have fewer nodes; the others get weight zero."""
-    count = min(_NODES, germ.values.size) if isinstance(germ, SampleGerm) else _NODES
-    nodes, weights = germ.gauss(count)
-    return np.pad(nodes, (0, _NODES - count), mode="edge"), np.pad(weights, (0, _NODES - count))
+    nodes, weights = germ.gauss(_NODES)
+    few = 0, _NODES - len(nodes)
+    return np.pad(nodes, few, mode="edge"), np.pad(weights, few)
 
 
 def _values(inputs: Inputs, variables: Float[Array, " variables"]) -> Float[Array, " inputs"]:

@@ -125,7 +125,8 @@ def square(basis: AbstractBasis) -> Square:
 def _triple_products(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "degrees degrees doubled"]:
     """The expected values of `p_i p_j p_k`, for `i` and `j` up to the degree and `k` up to twice the degree."""
     nodes, weights = germ.gauss(2 * degree + 1)
-    polynomials = germ.polynomials(2 * degree, nodes)
+    # Of data, all polynomials are those of lower degrees than there are distinct values.
+    polynomials = germ.polynomials(min(2 * degree, len(nodes) - 1), nodes)
     lower = polynomials[:, : degree + 1]
     triples = np.einsum("n,ni,nj,nk->ijk", weights, lower, lower, polynomials)
     i, j, k = np.indices(triples.shape)
