@@ -264,7 +264,7 @@ class Passing(Leaving):
     events: ClassVar = {"place": al.Event(Leaving.level, jump=Leaving.leapt)}
 
 
-PULLED = {"push": al.StepFunction([0.45], [0.0, 0.0])}
+PULLED: dict[str, Any] = {"push": al.StepFunction([0.45], [0.0, 0.0])}
 
 
 @pytest.mark.parametrize(("system", "sign"), cases([(Leaving, 1.0), (Returning, -1.0)], 2))
@@ -281,7 +281,7 @@ def test_a_start_at_rest_on_an_event_is_the_same_whichever_way_its_function_is_w
 @pytest.mark.slow
 def test_a_start_at_rest_on_an_event_of_both_directions_is_told_and_so_is_what_leaves_it_later():
     refused(Passing(1.0), al.Grid(1.0, 10), "starts at 'place'", "t = 0 s", inputs=PULLED)
-    held = {"push": al.StepFunction([0.45], [0.3, 0.0])}
+    held: dict[str, Any] = {"push": al.StepFunction([0.45], [0.3, 0.0])}
     for system, sign in ((Leaving, 1.0), (Returning, -1.0)):
         refused(system(sign, 0.3), al.Grid(1.0, 10), "starts at 'place'", "from t = 0.45 s", inputs=held)
 
