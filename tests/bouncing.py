@@ -59,6 +59,14 @@ class Stopped(Ball):
     events: ClassVar = {"floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": 0.0})}
 
 
+class Rooted(Ball):
+    """A ball that leaves the floor with the root of what may be negative."""
+
+    events: ClassVar = {
+        "floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": jnp.sqrt(self.e)})
+    }
+
+
 def agreeing(simulated, exact, at, order):
     """Pairs of the values of two functions, and of their derivatives up to an order, by one program."""
     both = [(simulated, exact)]
@@ -67,9 +75,9 @@ def agreeing(simulated, exact, at, order):
     return jax.tree.map(np.asarray, compiled(lambda at: [(ours(at), right(at)) for ours, right in both])(np.array(at)))
 
 
-def refused(system, grid, *words, integrator=None):
+def refused(system, grid, *words, inputs=None, integrator=None):
     with pytest.warns(al.SimulationWarning) as caught:
-        history = al.simulate(system, grid, integrator=integrator)
+        history = al.simulate(system, grid, inputs, integrator)
     assert np.isnan(np.asarray(next(iter(history.values())))[-1]).all()
     for word in words:
         assert word in str(caught[0].message)

@@ -245,6 +245,28 @@ def test_a_simulation_returns_the_outputs_of_each_phase():
         al.simulate(phases, only=["h"])
 
 
+class Swinging(al.System):
+    """A spring that passes its middle in both directions."""
+
+    states = ("x", "v")
+    events: ClassVar = {"middle": al.Event(lambda self, t, z: z.x)}
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z):
+        return z.v, -z.x
+
+    def outputs(self, t, z):
+        return {"v": z.v}
+
+
+def test_a_phase_begins_at_the_event_of_both_directions_that_ended_the_one_before():
+    swing = al.Phase(Swinging(), al.Grid(until="middle", at_most=4.0, steps=100))
+    history = al.simulate(al.Phases(there=swing, back=swing))
+    assert (history["there.v"][-1], history["back.v"][-1]) == (pytest.approx(-1, abs=1e-7), pytest.approx(1, abs=1e-7))
+
+
 def test_a_system_in_two_phases_has_the_same_numbers_in_both():
     rocket = Rocket(al.Uniform(500.0, half_width=50.0), 2.0)
     phases = al.Phases(a=al.Phase(rocket, al.Grid(1.0, 4)), b=al.Phase(rocket, al.Grid(al.Decision(1.0, 0.5, 2.0), 4)))

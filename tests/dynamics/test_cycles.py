@@ -122,6 +122,19 @@ def test_a_cycle_that_does_not_close_is_named_with_its_numbers():
         al.simulate(VanDerPol(-1.0, 9.0), CREST)
 
 
+def test_cycles_of_a_conserved_energy_are_told_as_a_family_with_what_finds_their_period():
+    with pytest.warns(al.SimulationWarning, match=r"mu=0.*no single cycle: .*begin just behind 'crest'"):
+        al.simulate(VanDerPol(0.0), CREST)
+    followed = al.Grid(until="crest", at_most=10.0, steps=400)
+    assert float(al.simulate(Late(0.0, speed=-1e-6), followed)["time"][-1]) == pytest.approx(2 * np.pi, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_cycle_without_a_force_on_a_grid_of_known_length_has_those_shifted_in_time_beside_it():
+    with pytest.warns(al.SimulationWarning, match=r"no single cycle: .*event end the grid if they are shifts in time"):
+        al.simulate(VanDerPol(), al.Grid(PERIOD, 400, periodic=True))
+
+
 class Forced(al.System):
     """`x'' + c x' + k x = cos t`, whose period is known."""
 

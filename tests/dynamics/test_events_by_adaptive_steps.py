@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from bouncing import ADAPTIVE, LANDED, Ball, Grazing, Parts, Stopped, agreeing, refused
+from bouncing import ADAPTIVE, LANDED, Ball, Grazing, Parts, Rooted, Stopped, agreeing, refused
 from compiling import compiled
 from zoo import G, Shot, cases
 
@@ -101,4 +101,5 @@ def test_adaptive_steps_say_the_same_of_what_has_no_simulation(integrator):
     refused(Shot(angle=-0.7), LANDED, "starts at 'ground'", "angle=-0.7", integrator=integrator)
     refused(Stopped(), al.Grid(1.0, 10), "stays at 'floor'", "t = 0.4515 s", integrator=integrator)
     refused(Parts(), al.Grid(1.0, 10), "'floor' and 'wall' at the same time", "t = 0.4515 s", integrator=integrator)
+    refused(Rooted(-1.0), al.Grid(1.0, 10), "sets 'v' to what is not", "t = 0.4515 s", integrator=integrator)
     refused(Grazing(), al.Grid(until="ceiling", at_most=2.0, steps=9), "'ceiling'", integrator=integrator)

@@ -56,6 +56,14 @@ def test_one_value_of_a_sample_that_is_no_number_spoils_its_own_entry_and_no_oth
         assert np.isnan(found).tolist() == [False, True, False], statistic
 
 
+def test_one_value_has_no_spread_and_numpy_says_nothing_of_it():
+    values = {shape: np.arange(1.0, 1.0 + np.prod(shape)).reshape(1, *shape) for shape in ((3,), (3, 2))}
+    for statistic in (Variance(), Std(), Covariance()):
+        assert np.isnan(statistic.of_sample(values[shape_of(statistic)])).all(), statistic
+    # Half the squared difference is the variance of two.
+    assert float(Variance().of_sample(np.array([1.0, 4.0]))) == 4.5
+
+
 PLAIN = (Std(), Variance(), Skewness(), Kurtosis(), Correlation(), Sobol("a"), Sobol("b", total=True))
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import after_events, derivative, event_levels, initial_state
-from aleator.dynamics._event import CLOSE, crosses_zero
+from aleator.dynamics._event import CLOSE, crosses_zero, level_and_rate
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, nothing, zeros
 from aleator.dynamics._steps import Vector
@@ -38,6 +38,9 @@ _SHORTEST = 0.05
 _AT_START = 0.05
 # Rates that differ by this part of the largest one are the same.
 _SAME = 1e-6
+# Cycles that close up to this part of the states are of a family, if as small a part of what they start from matters:
+# steps of an integrator close those of a conserved energy to their own accuracy. So many corrections find one.
+_ALIKE, _CORRECTIONS = 1e-3, 8
 
 Recorded = Callable[[System, Grid, Inputs, Asked], Record]
 
@@ -84,6 +87,27 @@ def repeats(
     z, last = named(own if states is None else states), jnp.asarray(grid.t_final if end is None else end)
     before, after = (ravel_pytree(derivative(system, at, z, now))[0] for at in (t, last))
     return jnp.max(jnp.abs(after - before)) <= _SAME * jnp.max(jnp.abs(before))
+
+
+def is_family(record: Recorded, system: TracedSystem, grid: Grid, inputs: Inputs) -> Bool[Array, ""]:
+    """Whether cycles beside the one near the values of `initial()` close too, so that Newton's method has no single one
+    to find: the shortest corrections lead to where the equations are singular.
+    """
+    cycle, until = _Cycle(record, system, grid, inputs), grid.until is not None
+
+    def advance(k: Any, state: tuple[Vector, Array, Array]) -> tuple[Vector, Array, Array]:
+        slopes, (left, sizes, end, _) = cycle.slopes(state[0])
+        sizes = jnp.where(sizes > 0, sizes, 1.0)
+        rows = sizes.at[-1].set(jnp.abs(slopes[-1]) @ sizes) if until else sizes
+        rotated, lengths, axes = jnp.linalg.svd(slopes * sizes[None] / rows[:, None])
+        counts = lengths > _ALIKE
+        following = state[0] - sizes * (axes.T @ jnp.where(counts, rotated.T @ (left / rows) / lengths, 0.0))
+        sought = jnp.where(k == 0, state[0].at[-1].set(end), following) if until else following
+        return sought, jnp.max(jnp.abs(left / rows)), counts.all()
+
+    first = cycle.first
+    _, missed, is_single = jax.lax.fori_loop(0, _CORRECTIONS, advance, (first, jnp.inf, True))
+    return (missed <= _ALIKE) & ~is_single
 
 
 class _Pass(NamedTuple):
@@ -156,6 +180,13 @@ class _Cycle(NamedTuple):
 
         return jax.jacfwd(left, has_aux=True)(sought)
 
+    @property
+    def first(self) -> Vector:
+        """The values of `initial()`, with the latest end where an event ends the cycle."""
+        grid = self.grid
+        first, _ = ravel_pytree(initial_state(self.system, grid.t_start, inputs_on(grid, self.inputs)(grid.t_start)))
+        return first if grid.until is None else jnp.append(first, grid.t_final)
+
     def monodromy(self, sought: Vector) -> Float[Array, "states states"]:
         """The derivatives of the states after one cycle by those before it."""
         slopes, _ = self.slopes(sought)
@@ -172,9 +203,7 @@ class _Cycle(NamedTuple):
         NaN where it does not converge. A step that does not shorten the next one is tried in part.
         """
         still = _Cycle(self.record, *jax.tree.map(_stilled, (self.system, self.grid, self.inputs)))
-        grid, until = still.grid, still.grid.until is not None
-        first, _ = ravel_pytree(initial_state(still.system, grid.t_start, inputs_on(grid, still.inputs)(grid.t_start)))
-        first = jnp.append(first, grid.t_final) if until else first
+        grid, until, first = still.grid, still.grid.until is not None, still.first
 
         def advance(state: _Newton) -> _Newton:
             slopes, (left, sizes, end, _) = still.slopes(state.sought)
@@ -230,12 +259,12 @@ def _level_along(
     now = inputs_on(grid, inputs)
     named = ravel_pytree(initial_state(system, grid.t_start, now(grid.t_start)))[1]
 
-    def level_and_rate(t: Array, row: Vector) -> tuple[Array, Array]:
+    def at(t: Array, row: Vector) -> tuple[Array, Array]:
         z, u = named(row), now(t)
         slopes = jnp.ones(()), derivative(system, t, z, u)
-        return jax.jvp(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
+        return level_and_rate(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
 
-    level, rate = jax.vmap(level_and_rate)(grid.times, rows)
+    level, rate = jax.vmap(at)(grid.times, rows)
     rate = rate * jnp.asarray(grid.step)  # in a step, as elsewhere
     known = stop_gradient((level[:-1], rate[:-1], level[1:], rate[1:]))
     crosses = crosses_zero(*known, direction)

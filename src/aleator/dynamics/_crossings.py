@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.equations import as_time, loop_while_any
 from aleator.dynamics._alike import together
-from aleator.dynamics._equations import moving
+from aleator.dynamics._equations import TracedSystem, moving
 from aleator.dynamics._evaluation import (
     after_events,
     algebraic_residuals,
@@ -33,7 +33,7 @@ from aleator.dynamics._evaluation import (
     observation,
     variables_of,
 )
-from aleator.dynamics._event import CLOSE, crosses_zero, is_near
+from aleator.dynamics._event import CLOSE, Fault, crosses_zero, leads_across, level_and_rate
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import Asked, Occurrence, Record, nothing, zeros
 from aleator.dynamics._steps import Method, Pace, Rates, Sizes, Steps, Vector, signals_within, steps_of
@@ -46,7 +46,7 @@ _LEAST = 1e-6
 # The most events in one step of the grid; the shortest step of an adaptive method, relative to the time.
 _MOST, _SHORTEST = 12, 4 * float(np.finfo(float).eps)
 # What may go wrong.
-LOST, MANY, TOGETHER, STAYS, AT_START, GIVEN_UP = range(1, 7)
+LOST, MANY, TOGETHER, NO_NUMBER, STAYS, AT_START, GIVEN_UP = range(1, 8)
 # The phase of a step of the grid that is finished; less the number of what went wrong.
 _FINISHED = -1
 
@@ -56,15 +56,6 @@ class Seen(NamedTuple):
 
     t: Float[Array, " events"]
     place: tuple[Any, ...]
-
-
-class Fault(NamedTuple):
-    """What goes wrong in each step: what (0: nothing), with which event, about when, s, and after how many."""
-
-    kind: Int[Array, " steps"]
-    event: Int[Array, " steps"]
-    t: Float[Array, " steps"]
-    met: Int[Array, " steps"]
 
 
 class Course(NamedTuple):
@@ -87,7 +78,8 @@ class _Looked(NamedTuple):
 
     - `directions`: of each; `ends`: the one at which all ends, if any; `at`: where the step begins, as a fraction of
       the duration;
-    - `ignored`: those that do not count in this step; `forced`: those at which it has to end.
+    - `ignored`: those that do not count in this step; `forced`: those at which it has to end; `departed`: those at
+      which the motion may start, whatever comes next.
     """
 
     directions: Int[np.ndarray, " events"]
@@ -95,6 +87,7 @@ class _Looked(NamedTuple):
     at: Float[Array, ""]
     ignored: Bool[Any, " events"]
     forced: Bool[Any, " events"]
+    departed: Bool[np.ndarray, " events"]
 
 
 class _Functions(NamedTuple):
@@ -177,6 +170,8 @@ def course(
     every = list(system.declared_events)
     directions = np.array([system.declared_events[name].direction for name in names])
     ends = np.array([name == grid.until for name in names], dtype=bool)
+    # A phase may start at the event, in any direction, that ended the one before.
+    departed = (directions == 0) & (isinstance(system, TracedSystem) and system.begun is not None)
 
     def states_of(vector: Vector) -> Any:
         return state_type(system.states)(*named(vector)[0][:count])
@@ -234,7 +229,7 @@ def course(
             is_last = (step.begin < 1) & (step.begin + step.length >= 1)
             ignored, forced = is_final & ends, (is_final & is_last) & ends
             phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, phase)
-        looked = _Looked(directions, ends, step.begin, ignored, forced)
+        looked = _Looked(directions, ends, step.begin, ignored, forced, departed)
         functions = _Functions(partial(once, rates), partial(once, levels), partial(once, after), noted)
         search = _Search(zero + 1, zero, zero + 1, (zero > 0) & ends, zero, none + _MOST, seen) if names else None
         # Without events JAX's own loop tells how the program has to be compiled (see `asks_twice`).
@@ -244,11 +239,13 @@ def course(
             lambda state: _moved(method, functions, looked, sizes, state),
             _State(vector, zero, phase, search, pace),
         )
-        event, met = none, none
+        event, met, number, vector, kind = none, none, none, end.vector, _FINISHED - end.phase
         if end.search is not None:
             event, met, seen = jnp.argmax(end.search.event), _MOST - end.search.left, end.search.seen
-        fault = Fault(_FINISHED - end.phase, event, step.t + end.begin * step.h, met)
-        return (end.vector, seen, end.pace), (outputs, fault)
+            number = jnp.argmin(jnp.isfinite(vector))
+            vector = _where((kind > 0) & (kind < GIVEN_UP), jnp.nan, vector)
+        fault = Fault(kind, event, step.t + end.begin * step.h, met, number)
+        return (vector, seen, end.pace), (outputs, fault)
 
     zero, none = nothing(moving(system), inputs, grid)
     places_seen = jax.eval_shape(lambda: (vector[:size], now) if asked.at_events else ())
@@ -292,7 +289,7 @@ def _moved(method: Method, functions: _Functions, looked: _Looked, sizes: Sizes,
     if search is not None:
         if slopes is None:
             slopes = jax.vmap(functions.rates)(jnp.stack([begin, target]), jnp.stack([state.vector, end]))
-        moved = _met(functions, looked, state, search, target, end, slopes)
+        moved = _met(functions, looked, state, sizes, target, end, slopes)
     else:
         moved = state._replace(vector=end, begin=target, phase=_where(target == 1, _FINISHED, state.phase))
     if pace is None or later is None:
@@ -310,21 +307,17 @@ def _moved(method: Method, functions: _Functions, looked: _Looked, sizes: Sizes,
 
 
 def _met(
-    functions: _Functions,
-    looked: _Looked,
-    state: _State,
-    search: _Search,
-    target: Array,
-    end: Vector,
-    slopes: Float[Array, "2 n"],
+    functions: _Functions, looked: _Looked, state: _State, sizes: Sizes, target: Array, end: Vector, slopes: Array
 ) -> _State:
     """What follows a step to some share, by the events on the way; `slopes`: the rates at both ends."""
+    search = state.search
+    assert search is not None
 
-    def level_and_rate(at: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
-        return jax.jvp(functions.levels, (at, vector), (jnp.ones(()), slope))
+    def at(share: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
+        return level_and_rate(functions.levels, (share, vector), (jnp.ones(()), slope))
 
     both = jnp.stack([state.begin, target]), jnp.stack([state.vector, end]), slopes
-    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*both)
+    (level, level_at), (rate, rate_at) = jax.vmap(at)(*both)
     level, rate = stop_gradient((level, rate))
     begin, directions, corrections = state.begin, looked.directions, level_at / rate_at
     is_whole, lands = state.phase == 0, state.phase == _SEARCHED + _CORRECTIONS
@@ -344,25 +337,31 @@ def _met(
     is_close = jnp.abs(correction) <= CLOSE
     onward = _where(is_close | (fits & event).any(), target - correction, middle)
 
-    # Before the step: at an event from the start, or still at the last one. After it: not at the event, or at another.
-    stood = is_near(level, rate) & (directions * rate > 0)
+    # Before the step: at an event from the start or at rest there, or still at the last one. After it: not at the
+    # event, or at another. Next to no rate tells no direction, but where the step leads.
+    onwards = _where(jnp.abs(rate) <= CLOSE * jnp.abs(levels), levels, rate)
+    starts = (looked.at + begin == 0) & ~looked.departed | (level == 0) & (rate == 0)
+    stood = leads_across(level, onwards, directions) & starts
     stays = (jnp.abs(level) <= CLOSE * search.speed) & ~(jnp.abs(rate) > _LEAST * search.speed)
-    heads = is_near(levels, rates) & ((directions == 0) | (directions * rates > 0))
+    heads = leads_across(levels, rates, directions)
+    stops, jumped = lands & (event & looked.ends).any(), functions.after(target, end, event)
+    is_lost = ~jnp.isfinite(jumped[: sizes.states]) & jnp.isfinite(end[: sizes.states])
     faults = {
         TOGETHER: lands & (heads & ~event).any(),
         LOST: (state.phase >= _SEARCHED) & ~is_close,
         MANY: is_whole & meets & (search.left == 0),
+        NO_NUMBER: lands & ~stops & is_lost.any(),
+        AT_START: is_whole & stood.any(),
         STAYS: is_whole & (begin < 1) & (search.speed > 0) & (stays & search.event).any(),
-        AT_START: is_whole & (looked.at + begin == 0) & stood.any(),
     }
     fault = jnp.zeros_like(state.phase)
     for number, is_so in faults.items():
         fault = _where(is_so, number, fault)
-    is_wrong, stops = fault > 0, lands & (event & looked.ends).any()
+    is_wrong = fault > 0
     passes = is_whole & ~meets & ~is_wrong
     arrives = passes & (target == 1) | stops
     goes = lands | passes
-    after = _where(lands, functions.after(target, end, event), _where(passes, end, state.vector))
+    after = _where(lands, jumped, _where(passes, end, state.vector))
     phase = _where(goes, 0, _where(is_close & seeks, _SEARCHED, state.phase) + 1)
     later = _Search(
         target=_where(goes, 1.0, onward),
@@ -374,7 +373,7 @@ def _met(
         seen=_noted(search.seen, lands & event & jnp.isnan(search.seen.t), functions.noted(target, end)),
     )
     return state._replace(
-        vector=_where(is_wrong, jnp.nan, _where(stops, end, after)),
+        vector=_where(stops, end, after),
         begin=_where(goes, target, begin),
         phase=_where(state.phase < 0, state.phase, _where(arrives | is_wrong, _FINISHED - fault, phase)),
         search=later,

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
+import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.border import refusal
 
@@ -47,16 +47,37 @@ class Event:
             raise refusal("Event: jump", "a function such as lambda self, t, z: {'v': -self.e * z.v}", self.jump)
 
 
+class Fault(NamedTuple):
+    """What goes wrong in each step: what (0: nothing), with which event, about when, s, and after how many; the first
+    number of the vector that is not finite then.
+    """
+
+    kind: Int[Array, " steps"]
+    event: Int[Array, " steps"]
+    t: Float[Array, " steps"]
+    met: Int[Array, " steps"]
+    number: Int[Array, " steps"]
+
+
+def level_and_rate(
+    function: Callable[..., Array], place: tuple[Any, ...], slopes: tuple[Any, ...]
+) -> tuple[Array, Array]:
+    """The functions of events at a place, and their rates along slopes there; zero where these are not finite, as that
+    of a root of nothing, so that levels alone tell a side.
+    """
+    level, rate = jax.jvp(function, place, slopes)
+    return level, jax.lax.select(jnp.isfinite(rate), rate, jnp.zeros_like(rate))
+
+
 def crosses_zero(level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any) -> Bool[Array, " n"]:
-    """Whether levels end on the other side of zero, in a direction that counts.
+    """Whether levels leave their side of zero, in a direction that counts; those at rest on zero have none to leave.
 
     - `rate`: in a step. The side is that of a moment later: so a start on the ground is no landing.
     """
-    is_above, ends_above = level + CLOSE * rate >= 0, level_at + CLOSE * rate_at >= 0
-    counts = ends_above & np.asarray(directions >= 0) | is_above & np.asarray(directions <= 0)
-    return (is_above != ends_above) & counts & jnp.isfinite(level_at)
+    side, later = jnp.sign(level + CLOSE * rate), level_at + CLOSE * rate_at
+    return (side != 0) & (side * later <= 0) & (side * directions <= 0) & jnp.isfinite(level_at)
 
 
-def is_near(level: Array, rate: Array) -> Array:
-    """Whether levels are zero up to rounding."""
-    return jnp.abs(level) <= CLOSE * jnp.abs(rate)
+def leads_across(level: Array, rate: Array, directions: Any) -> Bool[Array, " n"]:
+    """Whether levels are zero up to rounding, and move on in a direction that counts."""
+    return (jnp.abs(level) <= CLOSE * jnp.abs(rate)) & (rate != 0) & (rate * directions >= 0)

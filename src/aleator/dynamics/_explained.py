@@ -9,8 +9,11 @@ from jaxtyping import Array, Bool, Int
 from aleator._core.border import meant
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator.dynamics._crossings import AT_START, GIVEN_UP, LOST, MANY, STAYS, TOGETHER, Course, course
-from aleator.dynamics._grid import Grid, Inputs
+from aleator.dynamics._closing import Recorded, is_family, repeats
+from aleator.dynamics._crossings import AT_START, GIVEN_UP, LOST, MANY, NO_NUMBER, STAYS, TOGETHER, Course, course
+from aleator.dynamics._equations import TracedSystem
+from aleator.dynamics._evaluation import initial_state
+from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._newton import listed, numbers_in
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked
 from aleator.dynamics._steps import Method, needed, watched
@@ -39,13 +42,15 @@ def explain_course(
     who = _named(system)
     times = {name: float(t) for name, t in one.seen.items()}
     end = times.get(grid.until or "", float(grid.t_final))
-    kind, event, t, _ = (np.asarray(part)[int(np.argmax(np.asarray(one.fault.kind) > 0))] for part in one.fault)
+    kind, event, t, _, number = (np.asarray(part)[int(np.argmax(np.asarray(one.fault.kind) > 0))] for part in one.fault)
     if kind == GIVEN_UP:
         return given_up(one, float(t))
     if kind > 0 and not t > end:
         others = [f"'{name}'" for i, name in enumerate(names) if i != int(event)]
         other = others[0] if len(others) == 1 else f"one of {', '.join(others)}"
-        return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t), other=other)}"
+        start = initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start))
+        state = np.repeat(system.states, [*map(jnp.size, start)])[int(number)]
+        return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t), other=other, state=state)}"
     if np.isnan(end) and (place := _unfinished(method, system, grid, inputs)) is not None:
         return (
             f"{who} has rates that are not finite after t = {place:.4g} s, before '{grid.until}' is met: a step of the "
@@ -98,16 +103,25 @@ def refuse_unknown_event(system: System, name: str | None) -> None:
         raise ProblemError(f"{system.title} has no event '{name}'; expected one of {known}.{remedy}")
 
 
-def explain_cycle(system: System, grid: Grid, *, is_timed: bool) -> str:
-    """That a cycle does not close, with the numbers of the realisation.
-
-    `is_timed`: because rates tell the end from the start.
-    """
-    if is_timed:
+def explain_cycle(record: Recorded, system: TracedSystem, grid: Grid, inputs: Inputs) -> str:
+    """Why a cycle does not close, with the numbers of the realisation."""
+    if not evaluate(lambda: repeats(system, grid, inputs), use=Use.ONCE):
         return (
             f"{_named(system)} does not repeat: its equations contain a time that does not come again, so that the "
             "rates at the end of the grid are not those at its start. A grid of known length is as long as the period "
             "of what depends on time, and one from event to event needs equations without time."
+        )
+    if evaluate(lambda: is_family(record, system, grid, inputs), use=Use.ONCE):
+        remedy = (
+            "add a limit such as (al.terminal('v').mean - al.initial('v').mean).equals(0.0), or let an event end the "
+            "grid if they are shifts in time"
+            if grid.until is None
+            else f"begin just behind '{grid.until}'"
+        )
+        return (
+            f"{_named(system)} has no single cycle: beside the one at the values of initial(), others of a family "
+            "close too, as those of a conserved energy, and no equation chooses among them. Leave out periodic=True, "
+            f"so that initial() chooses, and {remedy}."
         )
     event = "" if grid.until is None else f" after '{grid.until}', which it meets by t = {float(grid.t_final):.4g} s"
     return (
@@ -133,8 +147,12 @@ _FAULTS = {
         "there is an end to them, take more steps."
     ),
     AT_START: (
-        "starts at '{name}', at t = {t:.4g} s, and moves on through it. Start on one side of it, or choose the other "
-        "direction."
+        "starts at '{name}', and moves on through it from t = {t:.4g} s. Start on one side of it, or choose the other "
+        "direction: al.Event(..., direction=1) counts where its function rises, -1 where it falls."
+    ),
+    NO_NUMBER: (
+        "meets '{name}' at t = {t:.4g} s, where its jump sets '{state}' to what is not a finite number. Let it return "
+        "finite numbers, such as jnp.sqrt(jnp.maximum(h, 0)), or bound the distributions and decisions that lead there."
     ),
     TOGETHER: (
         "meets '{name}' and {other} at the same time, t = {t:.4g} s, where their order decides. Make one event "

@@ -20,7 +20,7 @@ from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractPlanned, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, explain_failure, history_alone
-from aleator.dynamics._closing import closed, repeats
+from aleator.dynamics._closing import closed
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
 from aleator.dynamics._explained import explain_cycle, refuse_unknown_event
@@ -290,6 +290,8 @@ class Simulation(AbstractPlanned):
 
         - `events`: those without which nothing is known of it.
         """
+        if isinstance(self.grid, Grid) and self.grid.periodic and self.equations is None:
+            return self.declared().explain(events)
         system = self.traced
         if isinstance(system, LinkedSystems):
             return self._explain_phases(events)
@@ -303,9 +305,8 @@ class Simulation(AbstractPlanned):
         rows = evaluate(lambda: self.record(ONLY_STATES).history[STATES], use=Use.ONCE)
         if np.isfinite(np.asarray(rows)).all():
             return ""
-        grid, inputs = self.grid, self.signals(system)
-        is_timed = not evaluate(lambda: repeats(system, grid, inputs), use=Use.ONCE)
-        return explain_cycle(system, grid, is_timed=is_timed)
+        assert isinstance(system, TracedSystem)
+        return explain_cycle(self.integrator.record, system, self.grid, self.signals(system))
 
     def _explain_phases(self, events: frozenset[str]) -> str:
         """The same of the first phase that has no solution."""

@@ -170,7 +170,8 @@ class Variance(AbstractStatistic):
         library, values = in_library(values)
         if self.noisy:
             return Mean().of_sample(values[..., 1]) + Variance().of_sample(values[..., 0])
-        return jax_array(library.var(values, axis=0, ddof=1))
+        # Of one value it is not a number, of which `np.var` would warn.
+        return jax_array(library.sum((values - library.mean(values, axis=0)[None]) ** 2, axis=0) / (len(values) - 1))
 
     @override
     def text(self, inside: str) -> str:
@@ -249,6 +250,7 @@ class Covariance(AbstractStatistic):
         return jax_array(library.sum(first * second, axis=0))
 
     @override
+    @quietly
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
         library, values = in_library(values)
         first, second = _both(values - library.mean(values, axis=0)[None])
