@@ -59,7 +59,7 @@ class Use(enum.Enum):
     - `LOOPS`: many runs of steps in time;
     - `ROWS`: many runs of large equations without loops. Compiled faster without the emitters for fused operations,
       which speed up loops only;
-    - `ONCE`: a few runs in all. Compiled faster with little optimisation;
+    - `ONCE`: a few runs in all, or a search's short ones. Compiled faster with little optimisation;
     - `BRIEF`: short runs. Compiled four times as fast without any optimisation, and slower by a factor of two or three
       when run. Where a loop of many realisations ends by a condition of each, compiled as `ONCE`: without optimisation
       and those emitters, some such loops never end. JAX evaluates the condition twice in a step (see `asks_twice`), and

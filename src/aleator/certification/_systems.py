@@ -34,8 +34,8 @@ from aleator.dynamics import Grid
 from aleator.ensemble import fill
 from aleator.transcription import AbstractTranscribed, Discretised
 
-# Most steps of all systems together in a check that takes longer to compile well than to run.
-_BRIEF = 500_000
+# Most steps of all systems together in checks that take longer to compile well than to run, about ten times in all.
+_FEW_STEPS = 500_000
 # Fractions of the duration that are the same.
 _SAME = 1e-9
 
@@ -71,9 +71,10 @@ def _check(
 
 
 def _use(problem: Problem, _: Array, systems: Any) -> Use:
-    if divides_steps(problem):
+    few = problem.grid.steps * len(systems[0]) <= _FEW_STEPS
+    if divides_steps(problem) or (few and problem.is_integrated):
         return Use.ONCE
-    return Use.BRIEF if problem.grid.steps * len(systems[0]) <= _BRIEF else Use.LOOPS
+    return Use.BRIEF if few else Use.LOOPS
 
 
 CHECK = Compiled(_check, use=_use)

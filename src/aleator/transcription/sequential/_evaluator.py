@@ -39,8 +39,8 @@ from aleator.transcription.sequential._instantaneous import Block, instantaneous
 # Fewest points per part that are worth the overhead of a time step, and fewest numbers worth that of threads.
 _FEWEST_POINTS, _FEWEST_NUMBERS = 16, 200_000
 # Numbers of simulations up to events, and of integrals over time without states, that take longer to compile well than
-# to run a few dozen times.
-_FEW_NUMBERS = 20_000
+# to run a few dozen times; of other simulations, that take longer to compile for loops than they gain in a search.
+_FEW_NUMBERS, _LOOPING_NUMBERS = 20_000, 100_000
 # Two parts, unless there are points enough for more.
 _POINTS_OF_A_PART, _MOST_PARTS = 128, 8
 
@@ -233,6 +233,7 @@ def use_of(problem: Problem, points: int) -> Use:
     Where events divide steps, or a grid repeats, a step has many equations of single numbers: full optimisation takes
     longer than it saves, and for the derivatives of a monodromy matrix it takes minutes. A few short simulations up to
     an event are over before any optimisation is, as are rows of single instants, which depend on few numbers each.
+    Other short simulations gain nothing by it.
     """
     numbers = problem.grid.steps * points * (1 + problem.placements.size)
     if not problem.is_integrated:
@@ -240,7 +241,7 @@ def use_of(problem: Problem, points: int) -> Use:
         others = functionals_of(tuple(one for i, one in enumerate(problem.expressions) if i not in which))
         return Use.ROWS if others and numbers > _FEW_NUMBERS else Use.BRIEF
     if not divides_steps(problem):
-        return Use.LOOPS
+        return Use.LOOPS if numbers > _LOOPING_NUMBERS else Use.ONCE
     return Use.BRIEF if ends_by_event(problem) and numbers < _FEW_NUMBERS else Use.ONCE
 
 
