@@ -167,12 +167,12 @@ def pareto(
     """Solve a problem for each value of the bound called `bound`, and let neighbours better each other.
 
     The problem is compiled once, since bounds are data. Each point is solved from the problem's own start, so that none
-    is worse than what `al.solve` finds there. A point that fails, that is worse than one with a tighter limit, or that
-    is above what its own price and a neighbour's say, is solved again from that neighbour's design, and the better of
-    both is kept (`Front.neighbours`). A point that fails from everywhere is kept with its status, its smallest
-    violation and the reason. One that is refused, because no decision can meet the bound, is kept as `Refused` with the
-    message. Ctrl-C ends the sweep and returns the finished points, if there are any. `solver` and `transcription` are
-    those of `al.solve`.
+    is worse than what `al.solve` finds there. A point without an optimum, one that is worse than one with a tighter
+    limit, or that is above what its own price and a neighbour's say, is solved again from that neighbour's design, and
+    the better of both is kept (`Front.neighbours`). A point that fails from everywhere is kept with its status, its
+    smallest violation and the reason. One that is refused, because no decision can meet the bound, is kept as `Refused`
+    with the message. Ctrl-C ends the sweep and returns the finished points, if there are any. `solver` and
+    `transcription` are those of `al.solve`.
 
     With an `executor` (`al.workers(2)`, loky's, Dask's `client.get_executor()`, any of `concurrent.futures`), its
     workers solve several points at once. The front is the same as without one.
@@ -237,7 +237,7 @@ class _Sweep:
         places = [
             # A shadow price is the decrease for each unit of relaxation.
             Place(value, one.objective, -(relaxing or 1) * one.multiplier(self.bound))
-            if one.ok
+            if one.status is Status.SOLVED  # what a certificate objects to holds from any start
             else Place(value, np.nan, np.nan)
             for value, one in self.solutions.items()
         ]
