@@ -226,7 +226,7 @@ def holding_boxes(fronts: Mapping[str, al.results.Front]) -> Drawing:
     boxes, limits = [], {}
     for name, front in fronts.items():
         apart = max(1, len(front.values) // 5)
-        shown = zip(front.values[apart::apart], front.optima[apart::apart], DASHES, strict=False)
+        shown = zip(front.values[apart - 1 :: apart], front.optima[apart - 1 :: apart], DASHES, strict=False)
         for bound, one, dash in shown:
             limits[f"H = {bound:g}"] = float(bound)
             if one:
