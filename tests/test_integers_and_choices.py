@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-import zoo
 from aleator.solving import _integers
-from zoo import HALF_WIDTH, MASS, STRESS, Bar, cases
+from zoo import HALF_WIDTH, MASS, STRESS, Bar, algebraic, cases
 
 
 class Pack(al.AlgebraicSystem):
@@ -121,7 +120,7 @@ def test_what_no_combination_can_meet_is_said():
 def test_a_leaf_that_begins_at_its_optimum_is_solved(offset):
     """A parabola that is exactly zero at the best integer, less an offset beside which its slopes are rounding."""
 
-    @zoo.algebraic
+    @algebraic
     def valley(n, x, off):
         return {"f": offset + (n - 2.27) ** 2 + (x - 0.47 * n - 0.64) ** 2 + 0.2 * off * x}
 

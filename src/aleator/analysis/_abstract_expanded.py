@@ -44,7 +44,8 @@ from aleator.statistics import (
 )
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
-# Germ values of unbounded distributions are sought between these probability levels.
+# Germ values of unbounded distributions are sought between these probability levels, and further up, where a level is
+# 1 but for rounding, to this value.
 _FURTHEST_LEVELS, _FURTHEST = (1e-300, 1 - 1e-16), 600
 
 _CONTRIBUTORS = 4

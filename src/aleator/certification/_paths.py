@@ -88,10 +88,8 @@ class LimitedPath(NamedTuple):
         - `known`: what rows limit instead at present; `at_peaks`: whether they may limit peaks.
         """
         fine, by, instead, is_coarse = np.arange(len(self.limit.fine)), np.zeros(self.rows.shape), {}, False
-        smooth, beside = (
-            self._smooth() if at_peaks else np.zeros(0, int),
-            [self._beside(one.place) for one in self.jumps],
-        )
+        smooth = self._smooth() if at_peaks else np.zeros(0, int)
+        beside = [self._beside(one.place) for one in self.jumps]
         for entry, beyond in enumerate(self._excess(self.limit.fine).T):
             peaking = [i for (i, of), one in known.items() if of == entry and isinstance(one, Peak)]
             sides, ends = self._sides(entry, beside)

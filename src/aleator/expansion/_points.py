@@ -311,7 +311,7 @@ def _induced(
     A Gauss rule gives their masses around its roots exactly; within a cell the distribution is taken as uniform. The
     weights of the points correct this small error.
     """
-    roots = _roots(germ, highest)
+    roots, _ = germ.gauss(2 * highest + _FINE)  # of data, at most their distinct values
     polynomials = germ.polynomials(len(roots) - 1, roots)
     # Gauss weights by the rule's own Christoffel function: accurate in the tails, where eigenvectors are rounding.
     masses = polynomials[:, : highest + 1] ** 2 / np.sum(polynomials**2, axis=1)[:, None]
@@ -325,8 +325,3 @@ def _induced(
         mine = degrees == degree
         values[mine] = np.interp(levels[mine] * cumulative[-1], cumulative, edges)
     return values
-
-
-def _roots(germ: AbstractGerm, highest: int) -> Float[np.ndarray, " roots"]:
-    """The roots of a fine Gauss rule; of data, at most their distinct values."""
-    return germ.gauss(2 * highest + _FINE)[0]

@@ -129,10 +129,10 @@ class ScaledProgram:
         Raises `NotFiniteError` if the model cannot be evaluated at the start, `HaltedError` if it raised an exception.
         """
         first = self.evaluations.finite_at(self.unscaled(self.start))
-        steepest = float(np.abs(first.gradient[self._free] * self._variable_scale).max(initial=0.0))
+        steepest = float(np.abs(first.gradient[self._free] * self._variable_scale).max(initial=0.0)) / _FIRST_STEP
         self._objective_origin = first.objective
         size = abs(first.objective)
-        objective = steepest / _FIRST_STEP if steepest / _FIRST_STEP > _ROUNDING * size else size or 1.0
+        objective = steepest if steepest > _ROUNDING * size else size or 1.0
         self.rescale(self.start, self.scales._replace(objective=objective))
         self.evaluate(self.start)
 

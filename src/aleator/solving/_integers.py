@@ -24,7 +24,7 @@ from aleator.ensemble import listed
 from aleator.nlp import AbstractLocalSolver, AbstractSolver, Outcome, Status
 from aleator.solution import Branching, Solution
 from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
-from aleator.uncertainty import Placements, Table, tables_of, with_decisions
+from aleator.uncertainty import Table, tables_of, with_decisions
 
 Full = Callable[[Problem, Mapping[str, Any]], Solution]
 Rows = tuple[int, ...]
@@ -170,12 +170,16 @@ def branched(
     if isinstance(solver, AbstractLocalSolver):
         solver = replace(solver, max_iterations=min(solver.max_iterations, _ITERATIONS))
 
-    def decided(rows: Rows, point: np.ndarray) -> Solution:
-        """The complete solution with some rows, from the other numbers of a point."""
-        vector = transcribed.decisions(point).copy()
+    def numbers(rows: Rows, vector: np.ndarray) -> dict[str, Any]:
+        """The decisions by name: some rows, and the other numbers of a vector."""
+        vector = vector.copy()
         for table, row in zip(tables, rows, strict=True):
             vector[table.where] = table.rows[row]
-        values = places.named(np.clip(vector, places.vector("lower"), places.vector("upper")))
+        return places.named(np.clip(vector, places.vector("lower"), places.vector("upper")))
+
+    def decided(rows: Rows, point: np.ndarray) -> Solution:
+        """The complete solution with some rows, from the other numbers of a point."""
+        values = numbers(rows, transcribed.decisions(point))
 
         def held(name: str, one: Any) -> Any:
             if one.values is None:
@@ -204,7 +208,12 @@ def branched(
         return _as_declared(_unsolved(tree, every), problem, None, tree.nodes)
     objective, alone = tree.answer.objective, sum(len(table.where) for table in tables) == places.size
     better = [one for one in tree.passed if -np.inf < one[0] < objective - _SAME * abs(objective)]
-    lowest = min([tree.bound, *(bound for bound, *_ in better)])
+    lowest, in_words = tree.bound, ""
+    if better:
+        bound, rows, _ = min(better, key=itemgetter(0))
+        named = numbers(rows, places.vector("initial"))
+        chosen = {name: named[name] for name, one in places.decisions.items() if one.decision.values is not None}
+        lowest, in_words = min(lowest, bound), f"{listed(chosen)} (objective {bound:.6g})"
     branching = Branching(
         combinations=combinations,
         nodes=len(tree.nodes),
@@ -213,22 +222,12 @@ def branched(
         listed=is_listed,
         bound=min(lowest, objective),
         gap=max(0.0, objective - lowest),
-        better=_in_words(places, tables, *min(better, key=itemgetter(0))[:2]) if better else "",
+        better=in_words,
         is_finished=tree.is_over,
         is_proven=is_listed and tree.is_over and alone and not tree.passed,
     )
     answer = replace(tree.answer, status=Status.INTERRUPTED) if interrupted else tree.answer
     return _as_declared(answer, problem, branching, tree.nodes)
-
-
-def _in_words(places: Placements, tables: tuple[Table, ...], bound: float, rows: Rows) -> str:
-    """A combination and the optimum of its node."""
-    vector = places.vector("initial")
-    for table, row in zip(tables, rows, strict=True):
-        vector[table.where] = table.rows[row]
-    values = places.named(vector)
-    chosen = {name: values[name] for name, one in places.decisions.items() if one.decision.values is not None}
-    return f"{listed(chosen)} (objective {bound:.6g})"
 
 
 def _unsolved(tree: Tree, every: Left) -> Solution:

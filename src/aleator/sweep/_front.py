@@ -132,8 +132,8 @@ class Front(Drawn):
 
     def doubts(self) -> tuple[str, ...]:
         """What speaks for better designs than these: sentences, without a capital letter and a full stop."""
-        led = [near is not None and ok for near, ok in zip(self.neighbours, self.solved, strict=False)]
-        bettered = [f"{value:.6g}" for value in self.values[: len(led)][led]]
+        points = zip(self.values, self.solved, self.neighbours, strict=False)
+        bettered = [f"{value:.6g}" for value, is_solved, near in points if is_solved and near is not None]
         if not bettered:
             return ()
         return (

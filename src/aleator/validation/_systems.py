@@ -118,15 +118,16 @@ class Systems:
         excess = found.excess - self._tolerances
         if self._finer is None:
             return found._replace(excess=excess)
-        rows, apart, done = self.over_time, 0.0, 0
+        rows, apart, done = np.array(self.over_time), 0.0, 0
         sizes = self._tolerances[rows]
         distances = np.min(np.abs(excess[rows]) / sizes, axis=0)
         nearest = np.argsort(distances, kind="stable")
         while done < len(germ) and (not done or distances[nearest[done]] <= _FAR * apart):
             some = nearest[done : done + _FEW]
             beyond = self._simulated(self._finer, germ[some], _FEW, 0, 1, self._folds_finer).excess - sizes
-            apart = max(apart, float(np.max(np.abs(beyond - excess[rows][:, some]) / sizes)))
-            excess[np.array(rows)[:, None], some] = beyond
+            entries = rows[:, None], some
+            apart = max(apart, float(np.max(np.abs(beyond - excess[entries]) / sizes)))
+            excess[entries] = beyond
             done += _FEW
         return found._replace(excess=excess)
 
