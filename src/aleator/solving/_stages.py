@@ -68,7 +68,7 @@ UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 
 # How often at most: an answer is left for a better one, bounds are tightened, peaks are imposed, scenarios are added.
 _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 20
-# Iterations from an answer that margins hold to a close one with peaks in their place.
+# Iterations from an answer to a close one with peaks limited.
 _MOST_STEPS = 20
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
@@ -253,7 +253,8 @@ class Stages(NamedTuple):
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
     def _held_between(self, held: Held, factor: int) -> Held:
-        """Tighten bounds at the instants beside limits that break between these, and solve again, until they hold.
+        """Limit what breaks between the instants, and solve again: peaks and values beside jumps at once, or, where no
+        answer close by follows from that, bounds tightened at the instants until limits hold, and peaks from there.
 
         An outcome that is not solved is returned unchanged.
         """
@@ -267,7 +268,13 @@ class Stages(NamedTuple):
         between, shifts = excess_between(check)
         if between.is_coarse and not self.keeps_grid:
             return held._replace(between=between, check=check)
-        best, loosest, cost = (outcome, check, between), outcome.evaluation.objective, 0.0
+        loosest, held = outcome.evaluation.objective, held._replace(between=between, check=check)
+        if HELD < between.worst < np.inf:
+            held = self._with_peaks(held, loosest, None, factor)
+            outcome = held.outcome
+            if outcome.status is Status.INTERRUPTED or held.check is not check:
+                return held
+        best, cost = (outcome, check, between), 0.0
         rounds, margins, latest = [outcome], None, between
         while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
@@ -293,9 +300,10 @@ class Stages(NamedTuple):
         return self._with_peaks(held, loosest, margins, factor) if is_tightened else held
 
     def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> Held:
-        """An answer that margins hold, with peaks limited, and values beside jumps: it does not depend on where the
-        instants are, and its multipliers are slopes of the optimum. The same answer where that is not close by, as
-        where limits have kinks.
+        """An answer with peaks limited, and values beside jumps: it does not depend on where the instants are, and its
+        multipliers are slopes of the optimum. The same answer where that is not close by, as where limits have kinks.
+
+        - `margins`: those that hold the answer, None where limits break between the instants.
         """
         local = replace(self.solver.local, max_iterations=_MOST_STEPS)
         transcribed, check, rounds = held.transcribed, held.check, [held.outcome]
