@@ -17,6 +17,7 @@ from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractComposite, Value
 from aleator.design._statistic import (
     Extreme,
+    Statistic,
     functionals_of,
     is_worst_case,
     statistics_in,
@@ -40,7 +41,7 @@ from aleator.dynamics import (
 )
 from aleator.ensemble import corners_of
 from aleator.expansion import Expansion, MultiElement
-from aleator.statistics import Sobol, refuse_correlated
+from aleator.statistics import Probability, Sobol, refuse_correlated
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
     AbstractGerm,
@@ -57,6 +58,8 @@ from aleator.uncertainty import (
 
 # Quantile at which unbounded variables are tried, on either side: one realisation in a billion lies beyond.
 _TAIL = 1e-9
+# Smaller probabilities are lost in the error with which they are computed.
+_SURE = 1e-9
 # Part of the names of decided gains; the most corners of their bounds at which they are tried, and points inside; how
 # far one without a bound is tried, in the largest gain.
 _GAINS, _CORNERS, _INSIDE, _FAR = ".feedback.gains.", 16, 8, 10.0
@@ -68,6 +71,7 @@ def check(problem: AbstractProblem) -> None:
     _check_inputs(problem)
     _check_time(problem)
     _check_worst_cases(problem)
+    _check_probabilities(problem)
     refuse_nonpositive(problem.simulation)
     _check_values(problem)
     _check_germs(problem)
@@ -185,6 +189,17 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
                 "objective, a penalty or a function of expressions. Use a statistic there, such as .quantile(0.99) or "
                 ".supremum."
             )
+
+
+def _check_probabilities(problem: AbstractProblem) -> None:
+    """Refuse bounds of a probability that are none, such as percentages, and those smaller than its error."""
+    for one in problem.constraints:
+        atoms = one.expression.atoms
+        if not (len(atoms) == 1 and isinstance(atoms[0], Statistic) and isinstance(atoms[0].kind, Probability)):
+            continue
+        for bound in (float(one.lower) / one.expression.factors[0], float(one.upper) / one.expression.factors[0]):
+            if np.isfinite(bound) and bound not in (0, 1) and not _SURE <= bound <= 1 - _SURE:
+                raise refusal(f"Bound of '{one}'", f"a probability, 0, 1 or from {_SURE} to 1 - {_SURE}", bound)
 
 
 def _check_values(problem: AbstractProblem) -> None:

@@ -44,7 +44,6 @@ from aleator.nlp import (
     HELD,
     AbstractSearch,
     AbstractSolver,
-    Ipopt,
     NonlinearProgram,
     Outcome,
     Status,
@@ -70,6 +69,8 @@ UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 20
 # Iterations from an answer to a close one with peaks limited.
 _MOST_STEPS = 20
+# Iterations to a design that meets the limits, or to the least excess.
+_MOST_TO_LIMITS = 200
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
 _ROUGH = 1e-4
@@ -204,8 +205,10 @@ class Stages(NamedTuple):
             return outcome
         if transcribed.scenarios is not None:
             simulated = simulated.at_scenarios(transcribed.scenarios)
+        # As many iterations as it takes, however few the search was allowed.
+        solver = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS)
         groups, program = rows_by_name(simulated), simulated.program
-        least = least_excess(Ipopt(), program, groups, (), range(len(groups)), [program.start])
+        least = least_excess(solver, program, groups, (), range(len(groups)), [program.start])
         if least.total <= HELD:
             start = transcribed.point(simulated.decisions(least.point))
             further = self.searched(transcribed, start, None, goes_on=True)
