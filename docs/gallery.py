@@ -69,7 +69,7 @@ def called(name: str) -> Any:
 
 def first() -> "Figure":
     """The figure of the first program on the front page."""
-    text = (DOCS / "index.md").read_text(encoding="utf-8")
+    text = (DOCS.parent / "README.md").read_text(encoding="utf-8")
     *program, _ = text.split("```python\n")[1].split("```")[0].splitlines()
     names: dict[str, Any] = {"__name__": FIRST}
     sys.modules[FIRST] = types.ModuleType(FIRST)
@@ -90,91 +90,89 @@ EVERY: dict[str, dict[str, Entry]] = {
     "Examples": {
         "sources_of_uncertainty": Entry(
             "A drawer and its damper",
-            "A drawer closes against a damper; its load, the push of the hand and the damper itself vary. The widest "
-            "tolerance of the damper is found for which the drawer still ends in the right place.",
+            "A drawer closes against a damper; its load, the push of the hand and the damper vary. What is the widest "
+            "tolerance of the damper for which the drawer still ends in the right place?",
             "The distance closed of 20 000 drawers, and its limits.",
             lambda: al.validate(example("sources_of_uncertainty")["solution"], 20_000).plot.density(),
         ),
         "five_sources": Entry(
             "A heated stage with five sources of uncertainty",
-            "A parameter, a first temperature, and three random processes act in one expansion. Which is the noisiest "
-            "thermometer that still holds the temperature?",
-            "The heater's power: its mean, the band of two standard deviations, and its limits.",
+            "A parameter, a first temperature and three random processes act together. How noisy may the thermometer "
+            "be?",
+            "The heater's power: mean, two standard deviations, limits.",
             lambda: solved("five_sources").band("power"),
         ),
         "co_design": Entry(
             "An arm, its counterweight, its motion and a tolerance",
-            "A lifting arm, its fastest motion and the tolerance of its payload are designed together. The torque "
-            "keeps its limits in the worst case.",
-            "The torque of the joint for random payloads, between its limits.",
+            "All are designed together. The torque keeps its limits in the worst case.",
+            "The torque for random payloads, between its limits.",
             lambda: solved("co_design").histories("angle_torque", samples=25),
         ),
         "ride_travel_holding": Entry(
             "Ride, travel and holding of a car",
-            "What three wishes for a car's suspension cost one another. Every point is a certified design.",
-            "Designs none of which is better than another in all three wishes.",
+            "What three wishes for a car's suspension cost one another.",
+            "Certified designs, none better than another in all three wishes.",
             lambda: called("ride_travel_holding")[0].plot.curve(),
         ),
         "from_sympy": Entry(
             "A crane from SymPy",
-            "The equations come from SymPy's `LagrangesMethod`. The load is as still as possible at the end.",
-            "The force of the drive for random ropes and loads, between its limits.",
+            "The equations come from `LagrangesMethod`. The load is as still as possible at the end.",
+            "The force for random ropes and loads, between its limits.",
             lambda: solved("from_sympy").histories("force", samples=25),
         ),
         "robot_from_file": Entry(
             "A robot from a URDF file",
-            "An arm is read from a file with its torque limits. Its counterweight and fastest motion are decided "
-            "together, for all payloads.",
+            "The counterweight and the fastest motion of an arm are decided together, for all payloads.",
             "The shoulder's torque: its mean and the band of all payloads, between its limits.",
             lambda: solved("robot_from_file").band("shoulder_torque"),
         ),
         "black_box": Entry(
             "A simulator that is not ours",
             "A pendulum integrated by SciPy: samples run in processes and are kept in a journal.",
-            "Which uncertain number causes how much of the variance of the period.",
+            "How much of the variance of the period each uncertain number causes.",
             lambda: called("black_box").plot.sensitivities("period"),
         ),
     },
     "Studies": {
         "suspension": Entry(
             "Suspension of a car",
-            "Spring and damper of a quarter car with five uncertain numbers: designed for the mean car, robustly, and "
-            "with spreads apportioned at minimum cost. It recomputes chapters 6 and 7 of the dissertation.",
+            "A quarter car with five uncertain numbers, designed for the mean car, robustly, and with spreads "
+            "apportioned at minimum cost: chapters 6 and 7 of the dissertation.",
             "The best ride over the travel allowed, for the mean car (dOpt) and for all cars (uOpt).",
             lambda: study("suspension", "Ride against the travel limit, H = 0.034 m"),
         ),
         "clutch": Entry(
             "Tolerances of a one-way clutch",
             "The pressure angle of a closed vector loop by expansion, linearisation and sampling, against its exact "
-            "value. The cheapest tolerances follow for a given share of rejects.",
-            "The distribution of the angle, its limits, and the rejects in parts per million.",
+            "value; and the cheapest tolerances for a share of rejects.",
+            "The distribution of the angle, its limits and rejects.",
             lambda: study("clutch", "Distribution of the angle, limits and rejects", 1),
         ),
         "pick-and-place-effort": Entry(
             "Pick and place with least effort",
-            "Torques of a two-link arm are planned for uncertain payloads, past an obstacle (forward dynamics). "
-            "A second plan spends more effort for a smaller spread at the end.",
-            "Paths of the tip for random payloads under the robust plan; those that touch obstacle or wall stand out.",
+            "Torques of a two-link arm for uncertain payloads, past an obstacle (forward dynamics). A second plan "
+            "spends more effort for a smaller spread at the end.",
+            "Paths of the tip for random payloads; those that touch obstacle or wall stand out.",
             lambda: study("pick-and-place-effort", "Path of the tip", 1),
         ),
         "pick-and-place-time": Entry(
             "Pick and place in least time",
-            "The same arm follows a motion exactly, and its torques vary with the payload (inverse dynamics). The "
-            "margin for which no payload overloads a joint is found and counted.",
-            "Both torques for all payloads under the robust plan, between their limits.",
+            "The same arm follows a motion exactly, and its torques vary with the payload (inverse dynamics). For "
+            "which margin does no payload overload a joint?",
+            "Both torques for all payloads, between their limits.",
             lambda: study("pick-and-place-time", "Torques of the robust plans", 1),
         ),
         "swing-up": Entry(
             "Swing-up of a double pendulum",
-            "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean of the family "
-            "ends upright, and the spread of its tip is bounded.",
-            "The motor's torque for 200 pendulums under the robust plan: mean, standard deviation and range.",
+            "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean ends upright, "
+            "and the spread of the tip is bounded.",
+            "The motor's torque for 200 pendulums: mean, standard deviation and range.",
             lambda: study("swing-up", "Torque over time"),
         ),
         "four-bar": Entry(
             "A straight-line linkage",
-            "Lengths, tolerances and clearances of Hoeken's linkage, with the forces in its pins. The tool stays "
-            "within its zone for all but a few linkages, at the lowest cost of manufacture.",
+            "Lengths, tolerances and clearances of Hoeken's linkage, at the lowest cost for which all but a few keep "
+            "the tool in its zone.",
             "The tool's deviation from the line, of 400 linkages of the apportioned design (aOpt).",
             lambda: study("four-bar", "Deviation from the line", 3),
         ),
@@ -187,8 +185,7 @@ def page() -> str:
     parts = [
         "# Gallery",
         "",
-        "Examples are run by `python examples/NAME.py`, studies by `aleator run NAME`, which writes a report. "
-        "`python docs/gallery.py` makes the pictures and this page.",
+        "Examples are run by `python examples/NAME.py`, studies by `aleator run NAME`, which writes a report.",
     ]
     for chapter, entries in EVERY.items():
         parts += ["", f"## {chapter}"]
@@ -202,7 +199,7 @@ def _source(chapter: str, name: str) -> str:
     if chapter == "Examples":
         return f"[`examples/{name}.py`](../examples/{name}.py)"
     package = f"src/aleator/studies/{name.replace('-', '_')}"
-    return f"`aleator run {name}`: [its physics and problems](../{package}/__init__.py)"
+    return f"[`aleator run {name}`](../{package}/__init__.py)"
 
 
 def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:

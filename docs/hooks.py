@@ -1,5 +1,5 @@
-"""What the site adds to its pages: formulas as MathML, which needs no script, the sources that pages link to, and the
-tutorials, which are notebooks.
+"""What the site adds to its pages: formulas as MathML, which needs no script, the sources that pages link to, the
+tutorials, which are notebooks, and the pages of the tree's root, of which the README is the first of the site.
 """
 
 import html
@@ -15,14 +15,21 @@ ROOT = Path(__file__).parents[1]
 # Links from a page to a source of the tree, as they work in the tree.
 _LINK = re.compile(r"\]\(\.\./((?:examples|src|benchmarks)/[\w/]+\.py)\)")
 _NOTEBOOK = re.compile(r"\]\((tutorials/\w+\.ipynb)\)")
+# Pages of the root of the tree, by their names on the site, and links from and to them.
+OF_ROOT = {"README.md": "index.md", "ARCHITECTURE.md": "architecture.md", "CHANGELOG.md": "changelog.md"}
+_FROM_ROOT = re.compile(rf"\]\((?:docs/|({'|'.join(OF_ROOT)})(?=\)))")
 # What pymdownx.arithmatex leaves of a formula, in a line or on its own.
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 _NUMBER = re.compile(r"\\tag\{(.*?)\}")
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """A page for each source that a page links to, and for each notebook."""
+    """A page for each of the root, for each source that a page links to, and for each notebook."""
     pages = [Path(one.abs_src_path).read_text(encoding="utf-8") for one in files if one.src_uri.endswith(".md")]
+    for name, page in OF_ROOT.items():
+        text = (ROOT / name).read_text(encoding="utf-8")
+        content = _FROM_ROOT.sub(lambda found: f"]({OF_ROOT.get(found[1] or '', '')}", text)
+        files.append(File.generated(config, page, content=content))
     for notebook in [one for one in files if one.src_uri.endswith(".ipynb")]:
         files.append(File.generated(config, _page_of(notebook.src_uri), content=_shown(Path(notebook.abs_src_path))))
     for source in sorted({found for text in pages for found in _LINK.findall(text)}):

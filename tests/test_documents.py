@@ -7,6 +7,7 @@ import subprocess
 import sys
 import types
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -23,8 +24,6 @@ DOCUMENTS = sorted(
 TUTORIALS = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/tutorials").glob("*.ipynb"))
 EXAMPLES = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py"))
 IN_SMALL = {"examples/ride_travel_holding.py": (6, 200)}  # points, samples
-# Errors and warnings are told where they are raised; topics have pages or guides of their own.
-ELSEWHERE = re.compile(r".*(Error|Warning)$|compilation_cache$|Abstract.*|[a-z_]+$")
 
 
 # --- Code ------------------------------------------------------------------------------------------------------------
@@ -81,18 +80,37 @@ def test_examples_run(example: str, run, capsys):
 def test_every_page_is_in_the_navigation_and_links_to_files_that_exist():
     listed = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
     pages = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]
-    assert {str(path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()) for path in pages} == listed
+    written = {str(path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()) for path in pages}
+    assert written | {*runpy.run_path(str(ROOT / "docs/hooks.py"))["OF_ROOT"].values()} == listed
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
         links = r"\]\((?!http)([^)#]+)\)" if page.parent == ROOT else r"\]\((\.\./[^)#]+)\)"
         for target in re.findall(links, page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-def test_every_public_class_is_on_a_page():
+def test_every_way_in_which_a_solve_ends_is_on_the_page_of_failures():
+    page = (ROOT / "docs/solving.md").read_text(encoding="utf-8").lower()
+    against = {
+        **dict.fromkeys(("crossed", "extrapolated", "indistinct", "lost", "untrusted"), "a reason"),
+        "between": SimpleNamespace(holds=False),
+        "grid_error": SimpleNamespace(is_usable=False, steps=9),
+        "opinion": SimpleNamespace(broken="a limit", samples=9, remedy="Raise the order"),
+        "worst_case": SimpleNamespace(is_found=False, rounds=1, realisations=[SimpleNamespace(beyond=0.1)]),
+    }
+    quality = al.results.ExpansionQuality(3, 4, 12, 1.0)
+    certificates = [al.results.Certificate(0.0, 0.0, 0.0, quality, **{name: one}) for name, one in against.items()]
+    ends = [one.objection.phrase for one in certificates if one.objection]
+    assert len(ends) == len(against)
+    ends += [status.value for status in al.Status if status is not al.Status.SOLVED]
+    assert [end for end in ends if end.lower() not in page] == []
+
+
+def test_every_public_name_is_on_a_page():
     pages = [page.read_text(encoding="utf-8") for page in (ROOT / "docs/api").glob("*.md")]
-    told = {name for page in pages for name in re.findall(r"::: aleator\.(\w+)", page)}
-    assert {name for name in dir(al) if not ELSEWHERE.match(name) and not name.startswith("_")} <= told
-    assert {name for name in told if not hasattr(al, name)} == set()
+    described = {name for page in pages for name in re.findall(r"::: aleator\.(\w+)", page)}
+    # Errors and warnings are described where they are raised.
+    names = {name for name in dir(al) if not name.startswith("_") and not name.endswith(("Error", "Warning"))}
+    assert described == names | {"extending"}
 
 
 def test_the_gallery_is_what_its_script_writes_of_every_example_and_study_with_a_small_picture():

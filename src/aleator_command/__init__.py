@@ -1,8 +1,29 @@
 """The `aleator` command: its subcommands, their arguments and their help.
 
-What they do is in `aleator.cli`, which is imported when it is needed: that takes a second or two. Until then nothing
-here imports JAX, and signals end the process with a word.
+Exit codes: 0 success, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated.
+Finished results are written in every case. With `--json` one JSON document is printed on stdout, and all else on
+stderr. Numbers are finite or `null`. Every document has `command`, `exit_code` and `errors` (sentences); further:
+
+- `run`, `resume`, `sweep`: `folder`, `finished`, `files`, `title`, `verdict`, `designs`, `fronts`, `recalled` (results
+  of an earlier run);
+- `check`: `study`, `look_at`, and `problems` by name: `decisions`, `uncertain`, `instants`, `order`, `terms`, `points`,
+  `condition_number`, `rows`, `derivatives_agree`, `seconds_to_compile`, `seconds_of_evaluation`, `samples`,
+  `simulations`, `bytes_of_derivatives`, `numbers` (`unit`, and `value`, a text for a distribution or decision);
+- `validate`: `folder`, `samples`, `seed`, and `designs` by name: `status`, `decisions`, `objective`, `solved_anew`
+  (`false` for a design of the folder), and evidence, or `why` there is none;
+- `report`: `folder`, `files`, `missing`, `verdict` (`null` while nothing is finished);
+- `compare`: `folders`, `designs` and `differences` by name and run;
+- `list`: `studies` (`name`, `about`); of a folder: `folder`, `stale`, `results` (`name`, `load`, `what`, `state`,
+  `why`, `file`, `host`, `process`, `since`, `seconds`), whose state is waiting, running, interrupted, done, infeasible,
+  failed, stale or lost.
+
+Designs have `status`, `decisions`, `objective` (`value`, `unit`), `constraints`, `certificate` and `evidence`. Evidence
+has `samples`, `seed`, `agrees`, and `violations` by limit (`estimate`, `lower`, `upper`, `confidence`, `count`), with
+`any` for all together. A front has `bound`, `interrupted` and `points` (`value`, `status`, `objective`, `shadow_price`,
+`violation`, `decisions`, `why`).
 """
+# What commands do is in `aleator.cli`, which is imported when it is needed: that takes a second or two. Until then
+# nothing here imports JAX, and signals end the process with a word.
 
 import json
 import os

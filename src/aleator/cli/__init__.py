@@ -1,8 +1,5 @@
-"""What the command line does: `aleator run STUDY` and its fellow commands, which `aleator_command` declares.
-
-Exit codes: 0 success, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated.
-Finished results are written in every case. With `--json` one JSON document is printed on stdout, and all else on
-stderr; `docs/studies.md` has its keys.
+"""What the command line does: `aleator run STUDY` and its fellow commands, which `aleator_command` declares, with their
+exit codes and JSON documents.
 """
 
 from aleator.cli._commands import check as check
