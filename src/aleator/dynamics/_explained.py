@@ -60,8 +60,8 @@ def explain_course(
     if np.isnan(end):
         return (
             f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
-            f"{float(grid.t_final):.4g} s: raise at_most, take more steps if these are long beside the motion, or bound "
-            "the distributions and decisions that lead past it. A function that only touches zero does not cross it."
+            f"{float(grid.t_final):.4g} s: raise at_most, take more steps if these are too long, or bound "
+            "what leads past it, distributions and decisions. A function that only touches zero does not cross it."
         )
     if missing := [name for name in names if name in events and not times[name] <= end]:
         return (
