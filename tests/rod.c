@@ -26,7 +26,7 @@ typedef fmi3ValueReference Reference;
 #endif
 
 enum { TIME, ANGLE, RATE, ANGLE_RATE, RATE_RATE, MASS, LENGTH, DAMPING, GRAVITY, TORQUE, ENERGY, INERTIA, FAIL_AT, WALL_AT, REALS };
-enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, REMEMBERS = 7, ABORTS, LOOPS, LEAVES };
+enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, REMEMBERS = 7, ABORTS, LOOPS };
 enum { BEHAVIOUR = 100, STARTED = 101 };
 
 typedef struct {
@@ -70,7 +70,6 @@ static int refresh(Rod *rod) {
         abort();
     }
     while (is_due(rod, LOOPS)) continue;
-    if (is_due(rod, LEAVES)) exit(3);
     evaluate(rod->v);
     if (rod->behaviour == REMEMBERS) rod->v[RATE_RATE] -= rod->last, rod->last = rod->v[ANGLE];
     if (is_due(rod, IS_NAN)) rod->v[RATE_RATE] = rod->v[ENERGY] = NAN;

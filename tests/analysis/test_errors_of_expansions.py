@@ -10,7 +10,6 @@ import pytest
 
 import aleator as al
 from aleator.expansion import leave_one_out, leave_one_out_history, resolved_instants
-from zoo import cases
 
 UNIT = {"x": al.Uniform.bounds(0.0, 1.0)}
 RIPPLE_STD = np.sqrt(1 / 12 + 2.5**2 / 2)
@@ -42,19 +41,6 @@ def test_what_vanishes_at_all_nodes_of_a_gauss_grid_is_told():
     # The mean square of the fourth polynomial is 1/9, and the variance of the first 1/3.
     assert float(expanded.std) == pytest.approx(np.sqrt(1 / 3))
     assert float(expanded.fresh_error) == pytest.approx(np.sqrt(1 / 9 / (1 / 3 + 1 / 9)), rel=0.5)
-
-
-@pytest.mark.parametrize(("centre", "width"), cases([(0.2345, 1e-3), (0.5012, 3e-3), (0.777, 1e-2)]))
-def test_elements_resolve_a_narrow_spike_to_its_closed_form(centre, width):
-    def spiked(at):
-        return at["x"] + 30.0 * jnp.exp(-(((at["x"] - at["centre"]) / at["width"]) ** 2))
-
-    model = UNIT | {"centre": centre, "width": width}
-    expanded = al.expand(spiked, model, al.MultiElement(error=1e-3))
-    area = 30.0 * width * np.sqrt(np.pi)
-    square = 1 / 3 + 900.0 * width * np.sqrt(np.pi / 2) + 2 * centre * area
-    assert float(expanded.mean) == pytest.approx(0.5 + area, rel=1e-4)
-    assert float(expanded.std) == pytest.approx(np.sqrt(square - (0.5 + area) ** 2), rel=1e-4)
 
 
 @pytest.mark.parametrize("order", [2, 4])
@@ -104,29 +90,12 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("order", cases([10, 3]))
 @pytest.mark.parametrize("case", CASES)
-def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(case, order):
+def test_spreads_by_default_points_are_those_of_the_closed_form(case):
     function, distributions, std = CASES[case]
-    expanded, told = expanded_and_warnings(function, distributions, al.Expansion(order))
-    assert float(expanded.std) == pytest.approx(std, rel=0.03 if not told else 0.15)
-    assert order < 10 or not told
-
-
-@pytest.mark.parametrize("case", cases(CASES))
-def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case):
-    function, distributions, std = CASES[case]
-    try:
-        expanded, told = expanded_and_warnings(
-            function, distributions, al.Expansion(8, points=al.points.HammersleyPoints())
-        )
-    except al.ProblemError:
-        return  # the matrix is refused, which is no silence
-    assert told or float(expanded.std) == pytest.approx(std, rel=0.03)
-    if float(expanded.leave_one_out) <= 0.05 < float(expanded.jackknife):
-        assert "into the tails" in told
-        assert "al.points.InducedPoints() or al.points.GaussPoints()" in told
-        assert "EXTRAPOLATED" in str(expanded)
+    expanded, told = expanded_and_warnings(function, distributions, al.Expansion(10))
+    assert float(expanded.std) == pytest.approx(std, rel=0.03)
+    assert not told
 
 
 def test_the_jackknife_error_is_how_far_refits_without_each_point_move_the_coefficients():
@@ -189,16 +158,6 @@ def test_the_history_of_errors_is_relative_to_the_largest_variance_so_far():
     assert errors[2] == pytest.approx(single[2] * np.sqrt(variances[2] / variances[1]), rel=1e-10)
 
 
-@pytest.mark.slow
-def test_a_start_that_is_certain_and_crossings_do_not_count_as_unresolved():
-    times = np.linspace(0.0, 6.0, 200)
-    expanded = al.expand(lambda m: jnp.sin(m["w"] * times) * jnp.cos(times), FREQUENCY, al.Expansion(6))
-    assert int(resolved_instants(expanded.collocation, expanded.samples, expanded.coefficients)) == 200
-
-
 def test_the_warning_names_the_instant_and_the_output():
     with pytest.warns(al.ExpansionWarning, match=r"x \(error .*resolved until t = 1[0-9.]* only\)"):
         al.expand(lambda m: {"x": wave(m), "w": m["w"] * TIMES}, FREQUENCY, al.Expansion(6), times=TIMES)
-    late = TIMES[-20:]
-    with pytest.warns(al.ExpansionWarning, match="resolved at no instant"):
-        al.expand(lambda m: wave(m)[-20:], FREQUENCY, al.Expansion(6), times=late)

@@ -1,7 +1,5 @@
 """`al.expand` against closed forms, quadrature, chaospy and finite differences."""
 
-import types
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +7,10 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator._core.compilation import _EVALUATED
 from aleator.expansion import GaussPoints, Projection, SmolyakPoints
 from compiling import compiled
 
 DECAY = {"b": al.Uniform.bounds(0.1, 0.2), "u": al.Normal(1.5, 0.2)}
-FINE = al.Expansion(10, points=GaussPoints(40))
 DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652
 
 
@@ -26,26 +22,6 @@ def test_the_uncertain_decay_has_its_published_moments():
     expanded = al.expand(decay, DECAY, al.Expansion(order=10))
     assert float(expanded.mean) == pytest.approx(DECAY_MEAN, abs=1e-8)
     assert float(expanded.variance) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
-
-
-SETTINGS = types.ModuleType("settings")
-SETTINGS.scale = 1.0  # type: ignore[attr-defined]
-SETTINGS.inner = types.ModuleType("settings.inner")  # type: ignore[attr-defined]
-SETTINGS.inner.outer, SETTINGS.inner.shift = SETTINGS, 0.0  # type: ignore[attr-defined]
-
-
-def test_attributes_of_modules_that_a_function_names_are_part_of_its_code(monkeypatch):
-    def scaled(model):
-        return SETTINGS.scale * model["u"] + SETTINGS.inner.outer.inner.shift
-
-    def mean():
-        return float(al.expand(scaled, DECAY).mean)
-
-    assert mean() == pytest.approx(1.5)
-    monkeypatch.setattr(SETTINGS, "scale", 3.0)
-    assert mean() == pytest.approx(4.5)
-    monkeypatch.setattr(SETTINGS.inner, "shift", 1.0)
-    assert mean() == pytest.approx(5.5)
 
 
 def test_the_outputs_keep_their_structure_in_every_statistic():
@@ -128,16 +104,6 @@ def test_an_expansion_that_does_not_converge_warns_and_names_the_remedy():
         al.expand(lambda m: {"jump": jnp.where(m["b"] > 0.12, 1.0, 0.0), "u": m["u"]}, DECAY)
 
 
-def test_a_repeated_expansion_compiles_nothing_though_its_function_is_new():
-    def expand(width, offset):
-        return al.expand(lambda m: jnp.sin(m["w"]) + offset, {"w": al.Uniform(1.0, half_width=width)}).std
-
-    expand(0.1, 1.0)
-    before = sum(one.compilations for one in _EVALUATED.values())
-    expand(0.2, 1.0)
-    assert sum(one.compilations for one in _EVALUATED.values()) == before
-
-
 def test_arrays_held_by_compiled_helpers_tell_functions_apart():
     def times(gain):
         held = jnp.asarray(gain)
@@ -160,20 +126,6 @@ def test_the_derivative_of_the_standard_deviation_is_that_of_the_closed_form():
     (value, slope), (expected, by) = both(0.4)
     assert float(value) == pytest.approx(float(expected), rel=1e-11)
     assert float(slope) == pytest.approx(float(by), rel=1e-9)
-
-
-@pytest.mark.slow
-def test_the_derivative_by_a_shape_parameter_is_that_of_the_exact_moments():
-    def variance(alpha):
-        return al.expand(lambda m: m["x"] ** 2, {"x": al.Beta(alpha=alpha, beta=3.0)}, FINE).variance
-
-    def exact(alpha):
-        first, second = (np.prod([(alpha + k) / (alpha + 3.0 + k) for k in range(power)]) for power in (2, 4))
-        return second - first**2
-
-    value, slope = jax.value_and_grad(variance)(2.0)
-    assert float(value) == pytest.approx(exact(2.0), rel=1e-10)
-    assert float(slope) == pytest.approx((exact(2.0 + 1e-4) - exact(2.0 - 1e-4)) / 2e-4, rel=1e-6)
 
 
 def test_a_sparse_grid_that_leaves_nothing_to_check_is_judged_by_its_highest_degrees():
@@ -212,12 +164,3 @@ def expanded(function, model):
 def test_whole_numbers_of_the_model_are_part_of_the_equations():
     for power in (1, 3, 1):
         assert expanded(lambda m: m["x"] * 2.0 ** m["power"], {**INPUT, "power": power}) == pytest.approx(2.0**power)
-
-
-def test_plain_numbers_that_a_function_branches_on_are_part_of_the_equations():
-    def response(m):
-        return m["x"] * (1.0 if m["sign"].hex()[0] == "-" else 3.0)
-
-    models = [{**INPUT, "sign": sign} for sign in (0.0, -0.0, 0.0)]
-    means = [float(np.mean(al.references.monte_carlo(response, model, 64).values)) for model in models]
-    assert means[0] == means[2] == pytest.approx(3.0 * means[1])

@@ -71,20 +71,6 @@ def test_a_jump_across_two_variables_ends_at_the_budget_and_says_so():
     assert set(pieces.splits) == {"a", "b"}
 
 
-@pytest.mark.slow
-def test_kinked_responses_are_differentiable_through_the_distributions():
-    def mean_and_quantile(h):
-        model = {"w": al.Uniform(1.0, half_width=h)}
-        expanded = al.expand(lambda m: jnp.abs(m["w"] - 0.94), model, al.MultiElement(error=1e-6))
-        return expanded.mean, expanded.quantile(0.9)
-
-    # E|w - c| = (h² + d²) / (2 h) for d = 1 - c inside, and P(|w - c| < q) = (q + h - d) / (2 h) for q near h + d.
-    (mean, quantile), slopes = jax.jvp(mean_and_quantile, (0.1,), (1.0,))
-    assert float(mean) == pytest.approx((0.01 + 0.0036) / 0.2, rel=1e-6)
-    assert float(slopes[0]) == pytest.approx(0.5 - 0.0036 / 0.02, rel=1e-5)
-    assert (float(quantile), float(slopes[1])) == pytest.approx((0.8 * 0.1 + 0.06, 0.8), abs=1e-8)
-
-
 def test_elements_cannot_be_sought_while_compiling():
     with pytest.raises(al.ProblemError, match=r"inside jax\.jit"):
         jax.jit(lambda h: al.expand(jump, {"w": al.Uniform(1.0, half_width=h)}, al.MultiElement()).mean)(0.3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.expansion import Adaptive, SmolyakPoints
+from aleator.expansion import Adaptive
 from compiling import compiled
 from zoo import Decay
 
@@ -17,11 +17,8 @@ DECAY = Decay(rate=al.Uniform.bounds(0.1, 0.2), start=al.Normal(1.5, 0.2))
 DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652
 
 
-@pytest.mark.parametrize(
-    "integrator", [None, pytest.param(al.integrators.Tsit5(rtol=1e-11, atol=1e-12), marks=pytest.mark.slow)]
-)
-def test_the_uncertain_decay_has_its_published_moments(integrator):
-    expanded = al.galerkin(DECAY, GRID, al.Expansion(8), integrator=integrator)
+def test_the_uncertain_decay_has_its_published_moments():
+    expanded = al.galerkin(DECAY, GRID, al.Expansion(8))
     assert np.asarray(expanded.mean["x"])[-1] == pytest.approx(DECAY_MEAN, abs=1e-7)
     assert np.asarray(expanded.variance["x"])[-1] == pytest.approx(DECAY_VARIANCE, abs=1e-7)
 
@@ -57,20 +54,6 @@ def test_a_nonlinear_system_with_array_states_and_uncertain_inputs_agrees_with_c
         assert np.asarray(intrusive.mean[name]) == pytest.approx(np.asarray(other.mean[name]), abs=1e-6)
         assert np.asarray(intrusive.std[name]) == pytest.approx(np.asarray(other.std[name]), abs=1e-5)
     assert intrusive.coefficients["trail"].shape == (intrusive.basis.terms, 51, 2)
-
-
-def test_galerkin_is_differentiable_through_the_distributions():
-    def spread(half_width):
-        return al.galerkin(
-            Decay(rate=al.Uniform(0.15, half_width=half_width)), al.Grid(10.0, 100), al.Expansion(6)
-        ).std["x"][-1]
-
-    def exact(half_width, t=10.0):
-        first, second = (np.exp(-0.15 * k * t) * np.sinh(k * half_width * t) / (k * half_width * t) for k in (1, 2))
-        return np.sqrt(second - first**2)
-
-    expected = (exact(0.05 + 1e-5) - exact(0.05 - 1e-5)) / 2e-5
-    assert float(compiled(jax.grad(spread))(0.05)) == pytest.approx(expected, rel=1e-5)
 
 
 def test_what_cannot_be_projected_is_refused_in_words():
@@ -149,62 +132,9 @@ def test_a_quadratic_residual_of_order_one_has_the_coefficients_that_two_equatio
     assert np.asarray(expanded.coefficients["square"]) == pytest.approx([2.0, 1 / np.sqrt(3)], rel=1e-13)
 
 
-def test_a_distribution_that_is_not_affine_in_the_germ_is_not_truncated():
-    """`E[f/k] = f exp(s²/2 - m)` and `E[(f/k)²] = f² exp(2 s² - 2 m)` for a lognormal stiffness."""
-    s = np.sqrt(np.log(1.04))
-    m = -(s**2) / 2
-    stiffness = al.LogNormal(mean=1.0, std=0.2)
-    expanded = al.galerkin(Spring(stiffness), expansion=al.Expansion(8, points=al.points.GaussPoints(20)))
-    mean = 2.0 * np.exp(s**2 / 2 - m)
-    assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-9)
-    assert float(expanded.variance["u"]) == pytest.approx(4 * np.exp(2 * s**2 - 2 * m) - mean**2, rel=1e-7)
-
-
-class Chain(al.AlgebraicSystem):
-    """Masses between hardening springs: an unknown that is an array beside a number."""
-
-    unknowns = ("places", "force")
-    stiffness: Any
-    end: Any
-
-    def guess(self):
-        return {"places": self.end * np.array([0.3, 0.6]), "force": 1.0}
-
-    def residual(self, rho):
-        walls = jnp.concatenate([jnp.zeros(1), rho.places, jnp.reshape(jnp.asarray(self.end), (1,))])
-        stretch = jnp.diff(walls)
-        tension = self.stiffness * np.arange(1.0, 4.0) * (stretch + stretch**3)
-        return jnp.diff(tension), rho.force - tension[-1]
-
-    def outputs(self, rho):
-        return {"places": rho.places, "energy": rho.force * self.end}
-
-
-CHAIN = Chain(stiffness=al.Normal(3.0, 0.2), end=al.Uniform(2.0, half_width=0.4))
-
-
-@pytest.mark.slow
-def test_nonlinear_equations_with_arrays_agree_with_collocation_of_high_order():
-    intrusive = al.galerkin(CHAIN, expansion=al.Expansion(4, points=SmolyakPoints(5)))
-    other = al.expand(lambda m: {name: value[0] for name, value in al.simulate(m).items()}, CHAIN, al.Expansion(6))
-    assert intrusive.basis.names == ("stiffness", "end")
-    assert intrusive.coefficients["places"].shape == (intrusive.basis.terms, 2)
-    for name in ("places", "energy"):
-        assert np.asarray(intrusive.mean[name]) == pytest.approx(np.asarray(other.mean[name]), rel=1e-7)
-        assert np.asarray(intrusive.std[name]) == pytest.approx(np.asarray(other.std[name]), rel=1e-5)
-    share = float(other["energy"].sobol("end"))
-    assert float(intrusive["energy"].sobol("end")) == pytest.approx(share, abs=1e-6)
-
-
 def test_too_low_an_order_warns():
     with pytest.warns(al.ExpansionWarning, match="highest degrees carry a large part of the variance of u"):
         al.galerkin(Spring(al.Uniform(1.0, half_width=0.9)), expansion=al.Expansion(2))
-
-
-@pytest.mark.slow
-def test_equations_without_a_solution_are_named_with_the_numbers_at_fault():
-    with pytest.raises(al.SimulationError, match=r"for square, x\. Root: Newton found no solution at a=-0\.\d+"):
-        al.galerkin(Root(al.Uniform(0.5, half_width=1.0)))
 
 
 def test_time_is_refused():

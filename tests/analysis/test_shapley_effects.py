@@ -3,13 +3,11 @@
 from itertools import combinations
 from math import factorial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
-from compiling import answers, compiled
+from compiling import answers
 
 SLOPES = {"a": 1.0, "b": -0.7, "c": 0.4}
 STDS = {"a": 0.5, "b": 1.0, "c": 2.0}
@@ -66,22 +64,6 @@ def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
     for name, effect in zip(distributions, effects, strict=True):
         shared = [float(index) / len(names) for names, index in zip(subsets, indices, strict=True) if name in names]
         np.testing.assert_allclose(effect, sum(shared), rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_effects_of_arrays_and_constants_have_shapes_and_derivatives():
-    def effect(slope):
-        model = correlated("abc")
-        expanded = al.expand(lambda at: jnp.stack([slope * at["a"] + at["b"], at["c"], 0 * at["c"]]), model)
-        return expanded.shapley("a")
-
-    value = compiled(effect)
-    values, slopes = value(2.0), compiled(jax.jacfwd(effect))(2.0)
-    assert values.shape == slopes.shape == (3,)
-    np.testing.assert_allclose(values[2], 0.0)
-    np.testing.assert_allclose(
-        slopes, (np.asarray(value(2.0 + 1e-6)) - np.asarray(value(2.0 - 1e-6))) / 2e-6, atol=1e-7
-    )
 
 
 def test_sobol_indices_of_correlated_inputs_are_refused_with_what_to_take():

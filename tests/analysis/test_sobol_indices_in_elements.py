@@ -19,23 +19,6 @@ def indices(expanded, names):
     return {one: float(expanded.sobol(*one)) for one in sets}
 
 
-def test_a_kink_in_a_product():
-    """`x |y|`: its mean given x is x/2, given y zero; variances 1/12, 0 and 1/9 in all."""
-    pieces = al.expand(lambda m: m["x"] * jnp.abs(m["y"]), BOTH, al.MultiElement())
-    assert len(pieces.partition.cells) > 1
-    assert indices(pieces, "xy") == pytest.approx({("x",): 3 / 4, ("y",): 0.0, ("x", "y"): 1 / 4}, abs=1e-12)
-    assert float(pieces.total_sobol("x")) == pytest.approx(1.0, abs=1e-12)
-    assert float(pieces.total_sobol("y")) == pytest.approx(1 / 4, abs=1e-12)
-
-
-@pytest.mark.slow
-def test_a_jump_and_a_kink_that_add_up():
-    """Var[2 1(x > 0)] = 1 and Var|y| = 1/12: nothing acts together."""
-    pieces = al.expand(lambda m: 2 * (m["x"] > 0) + jnp.abs(m["y"]), BOTH, al.MultiElement())
-    expected = {("x",): 12 / 13, ("y",): 1 / 13, ("x", "y"): 0.0}
-    assert indices(pieces, "xy") == pytest.approx(expected, abs=1e-12)
-
-
 def test_a_kink_under_distributions_that_are_not_uniform():
     """`|z| b` with z standard normal and b of Beta(2, 5): moments in closed form."""
     beta = stats.beta(2, 5)

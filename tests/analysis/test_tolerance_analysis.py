@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.studies.clutch import DEVIATION, MEANS, TOLERANCES, clutch
 from zoo import algebraic
 
 
@@ -64,9 +63,8 @@ def curved_assembly(rule, *zones):
 @pytest.mark.parametrize(
     ("rule", "first", "second", "ends"),
     [
-        # At corners, far from what a polynomial says there; at the nominal; inside of one zone, with four extremes.
+        # At corners, far from what a polynomial says there; inside of one zone, with four extremes.
         (0, (0.0, 0.6), (1.0, 0.1), (0.9 * np.exp(-1.8), 1.1 * np.exp(1.8))),
-        (1, (0.0, 0.3), (10.0, 0.1), (0.0, 10.1 * (1 - np.cos(0.3)))),
         (2, (0.1, 0.2), (1.0, 0.02), (0.98 + 0.4 * np.sin(-0.8), 1.42)),
     ],
 )
@@ -90,26 +88,8 @@ def test_zones_are_those_of_the_distributions_unless_given():
     # As much is in the zone as within three standard deviations of a normal distribution, on either side.
     worn = al.tolerance_analysis({"wear": al.Exponential(mean=2.0, lower=0.0)}, lambda at: -at["wear"], lower=-9.0)
     assert worn.worst_case == pytest.approx((2 * stats.norm.logcdf(-3.0), 2 * stats.norm.logcdf(3.0)), rel=1e-9)
-    for arguments, message in [
-        ({"lower": 2.0, "upper": 1.0}, "lower < upper"),
-        ({}, "one of them finite"),
-        ({"lower": 0.0, "tolerances": {"plat": 0.1}}, "no uncertain dimension"),
-    ]:
-        with pytest.raises(al.ProblemError, match=message):
-            al.tolerance_analysis(model, "gap", **arguments)
-
-
-@pytest.mark.slow
-def test_rejects_of_the_clutch_are_those_of_its_closed_form():
-    one = al.tolerance_analysis(clutch(), "chi", lower=DEVIATION[0], upper=DEVIATION[1])
-    # Given c and e, the angle is below a limit where a is beyond (e - c) cos(limit) - c: a normal probability.
-    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
-    c, e = np.meshgrid(*(MEANS[name] + TOLERANCES[name] / 3 * nodes for name in ("c", "e")))
-    weight = np.outer(weights, weights) / (2 * np.pi)
-    at_limit = [(e - c) * np.cos(np.deg2rad(limit)) - c for limit in DEVIATION]
-    distribution = stats.norm(MEANS["a"], TOLERANCES["a"] / 3)
-    assert one.rejects_low == pytest.approx(1e6 * np.sum(weight * distribution.sf(at_limit[0])), rel=2e-3)
-    assert one.rejects_high == pytest.approx(1e6 * np.sum(weight * distribution.cdf(at_limit[1])), rel=2e-3)
+    with pytest.raises(al.ProblemError, match="no uncertain dimension"):
+        al.tolerance_analysis(model, "gap", lower=0.0, tolerances={"plat": 0.1})
 
 
 def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly():
@@ -119,15 +99,3 @@ def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly()
     found = np.array([analysis.rejects_low, analysis.rejects_high])
     assert np.abs(found - exact).max() < analysis.rejects_error
     assert analysis.rejects_error < 0.2 * exact.sum()
-
-
-@pytest.mark.slow
-def test_shares_of_the_variance_are_total_ones():
-    """Of (a - 1)^2 + 0.01 b with deviations of 0.1: 2e-4 from a, whose slope is zero, and 1e-6 from b."""
-    parts = {"a": al.Normal(1.0, 0.1), "b": al.Normal(0.0, 0.1)}
-    analysis = al.tolerance_analysis(parts, lambda at: (at["a"] - 1) ** 2 + 0.01 * at["b"], lower=-0.05, upper=0.2)
-    assert analysis.contributions["a"].share == pytest.approx(100 * 2e-4 / 2.01e-4, rel=1e-6)
-    first, second = str(analysis).splitlines()[-2:]
-    assert first.startswith("a ")
-    assert "99.5 % of the variance (0 % linearly)" in first
-    assert second.startswith("b ")

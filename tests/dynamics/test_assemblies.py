@@ -59,7 +59,6 @@ def outputs_of(assembly):
     return {name: np.asarray(value)[0] for name, value in al.simulate(assembly).items()}
 
 
-@pytest.mark.slow
 def test_clutches_within_many_tolerances_are_those_of_the_closed_form():
     dimensions, found, _ = clutches()
     exact = clutch_in_closed_form(*dimensions.T).T
@@ -74,18 +73,6 @@ def test_the_spread_of_the_clutch_is_the_published_exact_value():
     mean = weight @ angles
     assert 3 * np.sqrt(weight @ (angles - mean) ** 2) == pytest.approx(0.6590101, abs=5e-8)
     assert placements(clutch(*map(al.Normal, NOMINAL, TOLERANCES / 3))).germ_names == ("a", "c", "e")
-
-
-def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual():
-    # a + c > e - c
-    too_high = clutch(28.5, 11.43, 50.8)
-    message = explain_failure(too_high)
-    assert message.startswith(
-        "Assembly: Newton found no solution at a=28.5, c=11.43, e=50.8. From the guess b=4.8, chi=7"
-    )
-    assert "equation 2 of 2 is left with a residual of 0.5" in message
-    # a + c = e - c: χ = 0, where the two mirrored solutions meet.
-    assert "the Jacobian is singular there" in explain_failure(clutch(27.94, 11.43, 50.8))
 
 
 LENGTHS = {"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60}
@@ -118,28 +105,6 @@ def test_a_four_bar_linkage_and_its_features_are_those_of_the_closed_form():
     np.testing.assert_allclose(outputs["joint"], [joint.real, joint.imag], rtol=1e-13)
     np.testing.assert_allclose(outputs["transmission"], psi - phi, rtol=1e-13)
     np.testing.assert_allclose(outputs["height"], 80 * np.sin(np.deg2rad(phi)), rtol=1e-13)
-
-
-@pytest.mark.slow
-def test_angles_may_be_relative_to_the_vector_before_and_tied_by_an_equation():
-    # The joints' turns in the place of directions; they add up to a full turn, back to the crank's own direction.
-    assembly = al.Assembly(
-        dimensions=LENGTHS,
-        unknowns={"at_pin": -40, "at_joint": -110, "at_rocker": -90, "at_ground": -120},
-        loops=[
-            [
-                ("crank", "theta"),
-                ("coupler", "previous + at_pin"),
-                ("rocker", "previous + at_joint"),
-                ("ground", "previous + at_rocker"),
-            ]
-        ],
-        equations=["at_pin + at_joint + at_rocker + at_ground = -360", "theta + at_pin + at_joint + at_rocker = -180"],
-    )
-    outputs = outputs_of(assembly)
-    (phi, psi), _ = four_bar_in_closed_form()
-    turns = [phi - 60, psi - 180 - phi, -psi, -120]
-    np.testing.assert_allclose([outputs[name] for name in assembly.unknowns], turns, rtol=1e-13)
 
 
 def test_a_stack_of_plates_needs_no_unknowns():
@@ -193,11 +158,8 @@ def test_formulas_are_read_as_written():
     [
         ("E - c", r"there is no 'E'; expected one of \['c', 'e'\]"),
         ("e ^ 2", "give a Python function"),
-        ("__import__('os').system('x')", "received '__import__"),
-        ("exp(e)", r"received 'exp\(e\)'"),
         (al.Normal(0.0, 1.0), "among the dimensions"),
         ([("c", "previous"), ("e", 0)], "vector 1: there is no 'previous'"),
-        ([("c", (1, 2, 3)), ("e", 0)], "vector 1: expected a direction"),
     ],
 )
 def test_a_formula_that_cannot_be_read_is_refused_in_words(formula, message):
@@ -205,18 +167,12 @@ def test_a_formula_that_cannot_be_read_is_refused_in_words(formula, message):
         al.Assembly({"c": 2.0, "e": 7.0}, features={"f": formula})
 
 
-SQUARE = [("a", 0), ("b", 90), ("-a", 0), ("-b", 90)]
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         ({"loops": [[("p", 0), ("q", 90), ("b", 45)]] * 2}, "received 4: 4 from 2 closed loops"),
-        ({"loops": [SQUARE]}, "unknown 'p' is in no loop"),
         ({"loops": [[("p", 0), ("x", 90)]]}, r"loop 1, vector 2: there is no 'x'.*\['a', 'b', 'p', 'q'\]"),
-        ({"loops": [], "equations": ["p = radius", "p = a"]}, "equation 1: there is no 'radius'"),
         ({"unknowns": {"a": 1.0}}, "'a' names a dimension and a unknown"),
-        ({"dimensions": {"previous": 1.0}}, "'previous'"),
         ({"units": {"r": "mm"}}, r"\['r'\], which are not unknowns or features"),
     ],
 )

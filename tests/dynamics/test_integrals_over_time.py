@@ -1,4 +1,4 @@
-"""Integrals over time are as accurate as the states are, whatever integrates them, and see what happens between."""
+"""Integrals over time are as accurate as the states are, whatever integrates them."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 from scipy import integrate
 
 import aleator as al
-from aleator.design import functionals_of, integrated_paths, responses, sampled
+from aleator.design import functionals_of, responses
 from aleator.transcription import transcribe
 from compiling import compiled
 from zoo import cases
@@ -101,33 +101,3 @@ def test_time_integrals_of_spreads_are_as_accurate():
     )
     found = float(transcribe(declared).program.evaluate(np.array([RATE])).objective) - RATE
     assert found == pytest.approx(0.4 / np.sqrt(3) * (1 - np.exp(-RATE * END)) / RATE, abs=1e-7)
-
-
-def test_paths_between_the_instants_are_as_accurate_as_those_at_them():
-    declared = problem(al.time_integral(al.path("x").mean), 40)
-    paths = integrated_paths(declared.expressions)
-    found = compiled(lambda x: sampled(declared, paths, paths, jnp.zeros((1, 0)), x))(np.array([RATE]))
-    times, nodes = np.linspace(0.0, END, 81), np.asarray(found.nodes[0])[0]
-    # What a cubic through both ends and their slopes leaves: h⁴ / 384 of the fourth derivative, which is below 30.
-    np.testing.assert_allclose(nodes, state(times), rtol=0, atol=30 * (END / 40) ** 4 / 384)
-    np.testing.assert_allclose(nodes[::2], np.asarray(found.values[0])[0], rtol=1e-15)
-
-
-def test_a_control_that_is_wild_between_the_instants_is_not_cheap():
-    """Zero at every instant, 10 between: what it costs is seen by states and integrals alike."""
-
-    class Cart(al.System):
-        states = ("v",)
-
-        def rhs(self, t, z, u):
-            return (u,)
-
-        def outputs(self, t, z, u):
-            return {"x": u}
-
-    knots = np.linspace(0.0, 1.0, 21)
-    control = al.BSpline(np.where(np.arange(21) % 2 == 0, 0.0, 10.0), knots=knots[1:-1], degree=1)
-    declared = al.Problem(
-        Cart(), grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 10), inputs={"u": control}, minimize=EFFORT[0]
-    )
-    np.testing.assert_allclose(values(declared, at=1.0), 200 / 3, rtol=1e-12)

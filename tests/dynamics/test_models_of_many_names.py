@@ -1,12 +1,10 @@
-"""Models that name many states one by one: against the same one after the other, and against closed forms."""
+"""Models that name many states one by one: against the same one after the other."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from jax.flatten_util import ravel_pytree
 
-import aleator as al
 from aleator._core.dependence import dependence
 from aleator.dynamics._alike import together
 from compiling import compiled
@@ -63,45 +61,3 @@ def test_values_derivatives_and_their_places_are_those_of_one_equation_after_the
     first, second = (dependence(f, at[:1], at[1:]) for f in (plain, packed))
     assert np.array_equal(first.first, second.first)
     assert np.array_equal(first.second, second.second)
-
-
-PLACES = 50
-
-
-class Rod(al.System):
-    """A rod with cold ends, whose first mode decays exactly."""
-
-    states = tuple(f"u{i}" for i in range(PLACES))
-    conduction: al.Number
-    amplitude: al.Number
-
-    def rhs(self, t, z):
-        return conducted(self.conduction * (PLACES + 1) ** 2, z)
-
-    def initial(self):
-        return {name: self.amplitude * np.sin(np.pi * (i + 1) / (PLACES + 1)) for i, name in enumerate(self.states)}
-
-    def outputs(self, t, z):
-        return {"middle": z.u25}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous(al.schemes.Radau(3))], ids=["shot", "collocated"])
-def test_the_hottest_rod_of_fifty_named_places_that_cools_in_time_is_that_of_the_closed_form(way):
-    problem = al.Problem(
-        Rod(al.Uniform(0.1, half_width=0.02), al.Decision(2.0, 1.0, 3.0)),
-        grid=al.Grid(0.5, 10),
-        minimize=-al.value("amplitude"),
-        subject_to=[al.terminal("middle").at_most(1.5, sigmas=2)],
-        integrator=al.integrators.Rodas5P(),
-    )
-    found = al.solve(problem, transcription=way)
-    assert found.ok, found
-    rate = 4 * (PLACES + 1) ** 2 * np.sin(np.pi / (2 * (PLACES + 1))) ** 2 * 0.5
-
-    def moment(k):
-        return (np.exp(-k * rate * 0.08) - np.exp(-k * rate * 0.12)) / (k * rate * 0.04)
-
-    largest = moment(1) + 2 * np.sqrt(moment(2) - moment(1) ** 2)
-    right = 1.5 / (np.sin(np.pi * 26 / (PLACES + 1)) * largest)
-    assert found.decisions["amplitude"] == pytest.approx(right, rel=1e-6)

@@ -12,22 +12,6 @@ from zoo import Decay
 GRID = al.Grid(1.0, 20)
 
 
-class Branching(al.System):
-    """`x' = -rate x`, written with `if` on a number, which a program for any numbers cannot have."""
-
-    states = ("x",)
-    rate: float
-
-    def rhs(self, t, z):
-        return (-self.rate * z.x if self.rate > 0 else 0.0 * z.x,)
-
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-    def initial(self):
-        return {"x": 1.0}
-
-
 def test_other_numbers_need_no_other_program():
     integrator = al.integrators.Tsit5(rtol=1e-10, atol=1e-12)
     before = _HISTORY.compilations
@@ -37,16 +21,10 @@ def test_other_numbers_need_no_other_program():
     assert _HISTORY.compilations - before == 1
 
 
-@pytest.mark.slow
-def test_a_number_that_code_branches_on_is_taken_as_it_is():
-    np.testing.assert_allclose(al.simulate(Branching(2.0), GRID)["x"][-1], np.exp(-2.0), rtol=1e-5)
-    np.testing.assert_array_equal(al.simulate(Branching(-2.0), GRID)["x"], np.ones(21))
-
-
 PUSH = 1.0
 
 
-class Pushed(Branching):
+class Pushed(Decay):
     """`x' = PUSH`, which the code reads from a global name."""
 
     def rhs(self, t, z):
@@ -110,10 +88,7 @@ UNIFORM = al.Uniform(1.0, half_width=0.1)
     [
         (Named(), GRID, {"raod": RAMP}, r"Named takes the inputs \['road'\]; received \['raod'\]"),
         (Driven(), LONG, {"u": SHORT}, r"Input 'u' is known from 0 to 1 s, but the grid runs from 0 to 3 s\. Give"),
-        (Driven(own=SHORT), LONG, {"u": RAMP}, "Signal 'shift' of Driven is known from 0 to 1 s"),
         (Driven(UNIFORM), LONG, {"u": RAMP}, r"with plain numbers.*'system\.gain' is a Uniform\. .*al\.expand or"),
-        (Driven(), al.Grid(al.Decision(2.0, 1.0, 3.0), 6), {"u": RAMP}, r"'grid\.t_final' is a Decision"),
-        (Driven(), LONG, {"u": al.Tabulated([0.0, 3.0], [0.0, UNIFORM])}, r"'inputs\.u\.values\.1' is a Uniform"),
         (Decay(1.0), None, None, r"Decay evolves in time: expected a grid, such as al\.Grid"),
     ],
 )

@@ -1,7 +1,5 @@
 """Right-hand sides that switch, over a stated width, against the motions without it."""
 
-from typing import ClassVar
-
 import numpy as np
 import pytest
 
@@ -60,44 +58,6 @@ def test_least_time_over_a_rough_floor_and_what_it_owes_to_the_width():
     assert not smoothing.broken
     assert 0 < smoothing.moved["x"] < 1e-2
     assert "at half the widths the objective is" in str(solution.certificate)
-
-
-class Sliding(al.System):
-    """A block that slides forward until it rests, where friction would change its sign."""
-
-    states = ("x", "v")
-    friction: al.Number
-    push: al.Number = 0.0
-    speed: al.Number = 3.0
-    events: ClassVar = {"rest": al.Event(lambda self, t, z: z.v, direction=-1)}
-
-    def initial(self):
-        return {"v": self.speed}
-
-    def rhs(self, t, z):
-        return z.v, self.push - self.friction * GRAVITY
-
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-
-REST = al.Grid(until="rest", at_most=1.0, steps=4)
-
-
-def test_a_block_that_ends_where_it_rests_slides_as_the_closed_form_says():
-    friction = {"friction": al.Uniform.bounds(0.4, 0.8)}
-    found = al.expand(lambda at: al.simulate(Sliding(at["friction"]), REST)["x"][-1], friction, al.Expansion(12))
-    assert [float(found.mean), float(found.std)] == pytest.approx([0.7948935557, 0.1603331839], abs=1e-9)
-
-
-@pytest.mark.slow
-def test_a_decided_switching_time_is_a_phase():
-    """The way back mirrors the way out: `2 sqrt(20 (a + b) / (a b))` with `a, b = 400 ± mu g`."""
-    push = al.Phase(Sliding(0.6, 400.0, 0.0), al.Grid(al.Decision(0.1, 0.01, 0.3), 4))
-    out = al.Phases(push=push, brake=al.Phase(Sliding(0.6, -400.0), REST))
-    least = al.objectives.final_time("push") + al.at("rest").mean
-    found = al.solve(al.Problem(out, minimize=least, subject_to=[al.terminal("x").mean.equals(10.0)]))
-    assert 2 * found.objective == pytest.approx(0.6325240163, abs=1e-9)
 
 
 def test_switches_are_those_without_width_some_widths_away():

@@ -13,7 +13,6 @@ from aleator.expansion import (
     HammersleyPoints,
     RandomPoints,
     collocate,
-    leave_one_out,
 )
 from aleator.uncertainty import LegendreGerm
 
@@ -82,28 +81,6 @@ def test_sets_are_downward_closed_sorted_and_within_budget_and_order():
     assert 3 * basis.terms <= len(collocation.points)
 
 
-def test_no_point_is_solved_twice_and_none_is_lost():
-    asked = []
-
-    def model(points):
-        asked.append(points)
-        return ishigami(points)
-
-    _, collocation = collocate(uniform(3), Expansion(index_set=Adaptive(error=1e-3)), model)
-    assert len(asked) > 2
-    assert np.array_equal(np.concatenate(asked), collocation.points)
-
-
-@pytest.mark.slow
-def test_the_error_asked_for_is_the_leave_one_out_error_of_every_output():
-    def model(xi):
-        return {"small": 1e-6 * np.exp(2 * xi[:, 0]), "path": np.sin(np.outer(1 + xi[:, 1], np.arange(1, 6)))}
-
-    _, collocation = collocate(uniform(2), Expansion(index_set=Adaptive(error=3e-4)), model)
-    for values in model(np.asarray(collocation.points)).values():
-        assert float(leave_one_out(collocation, values, collocation.coefficients(values))) <= 3e-4
-
-
 def test_an_output_that_is_not_finite_is_named_with_its_point():
     def model(xi):
         return {"force": np.where(np.arange(len(xi)) == 4, np.nan, xi[:, 0])}
@@ -131,7 +108,6 @@ SETS = [
     (al.index_sets.TotalDegree(), lambda rows, order: rows.sum(axis=1) <= order),
     (al.index_sets.TensorProduct(), lambda rows, order: rows.max(axis=1) <= order),
     (al.index_sets.HyperbolicCross(0.5), lambda rows, order: np.sqrt(rows).sum(axis=1) ** 2 <= order + 1e-6),
-    (al.index_sets.HyperbolicCross(0.75), lambda rows, order: (rows**0.75).sum(axis=1) ** (4 / 3) <= order + 1e-6),
     (al.index_sets.Anisotropic([1.0, 2.0, 1.5]), lambda rows, order: rows @ [1.0, 2.0, 1.5] <= order + 1e-6),
     (al.index_sets.Anisotropic({"b": 0.7}), lambda rows, order: rows @ [1.0, 0.7, 1.0] <= order + 1e-6),
 ]

@@ -40,12 +40,6 @@ def test_too_few_points_are_refused_with_the_number_to_take():
         collocate({"u": LegendreGerm(), "n": HermiteGerm()}, Expansion(3, points=9))
 
 
-def test_hammersley_points_are_the_default_where_every_germ_is_bounded():
-    germs = {"a": LegendreGerm(), "c": JacobiGerm(2.0, 5.0)}
-    usual, even = (collocate(germs, Expansion(3, points=points)).collocation for points in (None, HammersleyPoints()))
-    assert np.array_equal(usual.points, even.points)
-
-
 def test_weights_weigh_the_squares_and_the_leverage_is_the_diagonal_of_the_map_to_fitted_values():
     basis = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 2))
     weights = np.random.default_rng(7).uniform(0.1, 3.0, 45)

@@ -20,8 +20,7 @@ from aleator.expansion import (
     TotalDegree,
     collocate,
 )
-from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm, SampleGerm
-from zoo import cases
+from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
 EVEN = [HammersleyPoints(), HaltonPoints(), SobolPoints(), LatinHypercubePoints(), RandomPoints()]
 SEEDED = [SobolPoints, LatinHypercubePoints, RandomPoints, ChristoffelPoints, OptimalPoints]
@@ -89,10 +88,7 @@ DISTRIBUTIONS = {"uniform": al.Uniform.bounds(1.0, 3.0), "normal": al.Normal(2.0
 STDS = {"uniform": 1 / math.sqrt(3), "normal": 0.5}
 
 
-@pytest.mark.parametrize(
-    ("kind", "variables", "order"),
-    cases([("normal", 12, 2), ("uniform", 100, 1), ("uniform", 9, 2), ("normal", 30, 1)], 2),
-)
+@pytest.mark.parametrize(("kind", "variables", "order"), [("normal", 12, 2), ("uniform", 50, 1)])
 def test_a_linear_function_of_many_variables_is_expanded_to_rounding_at_a_small_condition_number(
     kind, variables, order
 ):
@@ -120,15 +116,6 @@ def test_hermite_polynomials_of_order_14_are_well_conditioned_where_quantiles_of
         assert condition(NORMAL, 14, kind(seed=5)) < 10
 
 
-def test_optimal_points_interpolate_where_even_points_are_nearly_singular():
-    optimal, even = (
-        collocate(MIXED, al.Expansion(5, points=points, fit=al.fits.Interpolation())).collocation
-        for points in (al.points.OptimalPoints(), al.points.HammersleyPoints())
-    )
-    assert float(optimal.condition_number) < 100
-    assert float(even.condition_number) > 1e4
-
-
 @pytest.mark.parametrize("points", [al.points.ChristoffelPoints(50), al.points.OptimalPoints(50)])
 def test_weights_are_the_reciprocals_of_the_christoffel_function(points):
     basis = Basis(MIXED, al.index_sets.TotalDegree().indices(tuple(MIXED), 3))
@@ -145,14 +132,6 @@ def test_christoffel_points_have_the_density_that_their_weights_undo():
     matrix = basis.matrix(nodes.points)
     gram = matrix.T @ (nodes.weights[:, None] * matrix)
     assert np.linalg.norm(gram - np.eye(basis.terms), 2) < 3 * np.sqrt(basis.terms / len(matrix))
-
-
-def test_a_data_sample_of_few_values_has_points_too():
-    germs = {"s": SampleGerm(np.linspace(0, 1, 9) ** 2), "n": HermiteGerm()}
-    _, collocation = collocate(germs, al.Expansion(3, points=al.points.OptimalPoints()))
-    assert float(collocation.condition_number) < 20
-    values = np.asarray(collocation.points)[:, 0]
-    assert np.all((values >= 0) & (values <= 1))
 
 
 @pytest.mark.parametrize("points", [al.points.ChristoffelPoints(), al.points.OptimalPoints()])
@@ -216,15 +195,6 @@ def test_a_sparse_grid_integrates_every_monomial_up_to_total_degree_2l_plus_1_an
     assert integral_errors(nodes, 8 * np.eye(4, dtype=int)).min() > 1e-4
 
 
-def test_a_sparse_grid_shares_its_points_and_has_far_fewer_than_the_full_one():
-    germs = {name: HermiteGerm() for name in "abcde"}
-    basis = Basis(germs, al.index_sets.TotalDegree().indices(tuple(germs), 3))
-    nodes = al.points.SmolyakPoints().nodes(basis, 0)
-    assert len(np.unique(nodes.points, axis=0)) == len(nodes.points) < 4**5 / 4
-    assert (nodes.weights < 0).any()
-    assert nodes.weights.sum() == pytest.approx(1, rel=1e-12)
-
-
 def test_projected_coefficients_are_those_of_chaospys_quadrature():
     germs, distributions = {"u": LegendreGerm(), "n": HermiteGerm()}, CHAOSPY[:2]
 
@@ -248,18 +218,3 @@ def test_a_rule_that_does_not_integrate_the_products_is_refused_with_one_that_do
             collocate(GERMS, al.Expansion(3, points=points, fit=al.fits.Projection()))
     for better in (al.points.GaussPoints(4), al.points.SmolyakPoints(3)):
         collocate(GERMS, al.Expansion(3, points=better, fit=al.fits.Projection()))
-
-
-def test_interpolation_on_a_full_grid_is_the_projection():
-    parts = [
-        collocate(
-            {"u": LegendreGerm(), "n": HermiteGerm()},
-            al.Expansion(3, index_set=al.index_sets.TensorProduct(), points=p, fit=fit),
-        )
-        for p, fit in (
-            (al.points.GaussPoints(), al.fits.Interpolation()),
-            (al.points.GaussPoints(), al.fits.Projection()),
-        )
-    ]
-    interpolated, projected = (np.asarray(one.collocation.pseudo_inverse) for one in parts)
-    assert interpolated == pytest.approx(projected, abs=1e-10)

@@ -34,18 +34,6 @@ def test_an_expansion_that_is_not_warned_of_has_the_spread_of_the_closed_form(k)
     assert verdicts == [k == 10.0, False]
 
 
-def test_the_tolerance_is_an_option_and_decides_what_is_said():
-    def bent(m):
-        return jnp.cos(10 * m["w"])
-
-    expanded, warned = expanded_and_warned(bent, W, al.Expansion(3, tolerance=2.0))
-    assert not warned
-    assert "(resolved)" in str(expanded)
-    expanded, warned = expanded_and_warned(bent, W, al.Expansion(8, tolerance=1e-9))
-    assert warned
-    assert "NOT RESOLVED" in str(expanded)
-
-
 def test_a_matrix_that_loses_digits_is_warned_of_and_its_condition_is_printed():
     with pytest.warns(al.ExpansionWarning, match=r"condition number \d\.\de\+0[67].*Use more points"):
         expanded = al.expand(lambda m: m["w"], W, al.Expansion(14, points=al.points.HammersleyPoints()))

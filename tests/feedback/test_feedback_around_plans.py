@@ -12,7 +12,7 @@ import scipy
 import aleator as al
 import zoo
 from aleator.feedback import AbstractController
-from zoo import histories, optimum
+from zoo import histories
 
 STEPS = 20
 GAINS = al.Decision([10.0, 5.0], 0.0, 200.0)
@@ -73,13 +73,6 @@ def by_numpy(u, gains, fine=10):
         y = y + h / 6 * (a + 2 * b + 2 * c + rates((i + 1) * h, y + h * c))
     mean = weights @ y / 2
     return mean[0], mean[1], mean[4], np.sqrt(weights @ (y[:, 0] - mean[0]) ** 2 / 2)
-
-
-def test_without_feedback_the_cart_ends_anywhere():
-    found = optimum(plan(1.0))
-    spread = found.transcribed.statistics(found.outcome.point)["σ[x(t_f)]"]
-    assert spread == pytest.approx(0.0657, abs=5e-5)
-    assert spread == pytest.approx(by_numpy(found.decisions["inputs.u"], (0.0, 0.0))[3], abs=1e-6)
 
 
 def test_decided_gains_hold_the_spread_of_a_cart_as_by_numpy():
@@ -152,41 +145,17 @@ def test_limits_are_those_of_actuators_and_a_law_of_ones_own_is_a_law():
     np.testing.assert_allclose(numbers["u.command"], command, atol=1e-10)
 
 
-class Steered(Cart):
-    """A cart whose motor may be connected the wrong way round."""
-
-    gain: al.Number = 1.0
-
-    def rhs(self, t, z, u):
-        return super().rhs(t, z, self.gain * u)
-
-
 @pytest.mark.parametrize(
-    ("lower", "upper", "gain", "said"),
-    zoo.cases(
-        [
-            (
-                -60.0,
-                -20.0,
-                1.0,
-                r"errors grow by .* with all 12 values of feedback\.gains .* their bounds: widen",
-            ),
-            (20.0, 60.0, al.Uniform(0.2, half_width=0.5), "In the system with .*gain = -0.3.* with all 12 values"),
-            (-60.0, 20.0, 1.0, ""),
-            (-np.inf, -20.0, 1.0, "errors grow by .* with all 12 values"),
-            (-np.inf, np.inf, 1.0, ""),
-        ],
-        first=1,
-    ),
-    ids=["every system", "one system", "some gains", "one bound", "no bounds"],
+    ("upper", "said"),
+    zoo.cases([(-20.0, r"errors grow by .* with all 12 values of feedback\.gains .* their bounds: widen"), (20.0, "")]),
+    ids=["every gain", "some gains"],
 )
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")  # of a design that is none
-def test_a_search_that_fails_says_that_all_gains_within_their_bounds_destabilise(lower, upper, gain, said):
-    gains = al.Decision(np.full(2, max(lower, -60.0)), lower, upper)
+def test_a_search_that_fails_says_that_all_gains_within_their_bounds_destabilise(upper, said):
+    gains = al.Decision(np.full(2, -60.0), -60.0, upper)
     declared = plan(0.005, feedback=al.Feedback(gains=gains, of=("x", "v")))
-    system = Steered(m=1.0, gain=gain)
     problem = al.Problem(
-        system,
+        Cart(m=1.0),
         grid=declared.grid,
         inputs={"u": al.Control(0.0, -50, 50, degree=1)},
         minimize=declared.objective,

@@ -2,7 +2,6 @@
 
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import scipy
 
 import aleator as al
 from aleator.feedback import AbstractController
-from aleator.feedback._lqr import algebraic_riccati
 from zoo import histories, optimum
 
 
@@ -82,14 +80,7 @@ def test_gains_along_a_plan_are_those_of_the_riccati_equation_by_scipy():
     np.testing.assert_allclose(gains, expected, atol=2e-6)
 
 
-def test_the_algebraic_riccati_equation_is_solved_as_by_scipy():
-    random = np.random.default_rng(0)
-    A, B = random.normal(size=(4, 4)), random.normal(size=(4, 2))
-    Q, R = np.diag([1.0, 2.0, 0.0, 3.0]), np.array([[2.0, 0.3], [0.3, 1.0]])
-    expected = scipy.linalg.solve_continuous_are(A, B, Q, R)
-    np.testing.assert_allclose(jax.jit(algebraic_riccati)(A, B, Q, R), expected, rtol=1e-9, atol=1e-9)
-
-
+@pytest.mark.slow
 def test_computed_torque_makes_errors_linear():
     class Pendulum(al.Lagrangian):
         names = ("angle",)
@@ -149,19 +140,14 @@ def test_noise_adds_its_variance_to_that_of_the_distributions():
         Pulled(speed=al.Normal(0.0, 0.5)),
         STILL | {"w": al.processes.WhiteNoise(al.Decision(0.3, 0.1, 0.5))},
         minimize=al.terminal("x").std,
-        subject_to=[al.terminal("v").variance <= 9.0, al.path("v").std <= 9.0],
+        subject_to=[al.terminal("v").variance <= 9.0],
     )
-    solution = al.solve(problem)
-    assert solution.ok
+    solution = optimum(problem)
     assert solution.decisions["inputs.w.intensity"] == pytest.approx(0.1)
     rate = np.sqrt(3.0)  # of a pull of 1 N: x = (1 - exp(-t) (cos √3 t + sin √3 t / √3)) / 4
     pulled = (1 - np.exp(-2) * (np.cos(2 * rate) + np.sin(2 * rate) / rate)) / 4
     variance = lyapunov(4.0, 2.0, 0.1, 0.0, 2.0)[0, 0] + (0.5 * pulled) ** 2
     assert solution.objective == pytest.approx(np.sqrt(variance), rel=1e-6)
-    evidence = al.validate(solution, samples=400)
-    assert evidence.statistics["σ[x(t_f)]"].estimate == pytest.approx(np.sqrt(variance), rel=0.05)
-    (path,) = (one for one in evidence.compared if "v(t)" in one.text)
-    assert path.value == pytest.approx(np.max(solution.statistics["σ[v(t)]"]), rel=0.05)
 
 
 def noisy(**options: Any) -> al.Problem:
@@ -185,14 +171,10 @@ WRONG = {
     r"Damping.command raised AttributeError.*expected one of \('x',\)": lambda: moved(al.Feedback(Damping(), of="x")),
     "destabilise": lambda: moved(al.Feedback(gains=[-4.0, 2.0])),
     "to the planned input": lambda: moved(al.Feedback(gains=[4.0, -2.0])),
-    "asks for 'v', which is not measured": lambda: moved(al.Feedback(gains=al.lqr([1.0, 0.0], [0.1]), of="x")),
     "ask for what is not measured": lambda: moved(al.Feedback(gains={"x": 4.0, "v": 2.0}, of="x")),
     "received 'y'": lambda: moved(al.Feedback(gains=[4.0], of="y")),
-    r"expected the shape \(1, 2\)": lambda: moved(al.Feedback(gains=[4.0])),
     "eigenvalues are positive": lambda: al.lqr([1.0, 0.0], [-1.0]),
-    r"eigenvalues are not negative.*received \[\[1.0, 2.0\]": lambda: al.lqr([[1.0, 2.0], [0.0, 1.0]], [1.0]),
     "expected weights of 2 states": lambda: moved(al.Feedback(gains=al.lqr([1.0, 1.0, 1.0], [1.0]))),
-    "to names inputs that it commands": lambda: moved(al.Feedback(gains=[4.0, 2.0], to="force")),
     "the least value before the largest": lambda: al.Feedback(gains=4.0, limits=(1.0, -1.0)),
     "contains white noise itself": lambda: noisy(subject_to=[al.path("u.command").std <= 1.0]),
     "no covariance tells": lambda: noisy(minimize=al.terminal("x").quantile(0.9)),
@@ -205,7 +187,6 @@ WRONG = {
         minimize=al.terminal("x").mean,
     ),
     "'stop' of Stopped depends on inputs": lambda: moved(None, Stopped(), STILL | {"w": al.processes.WhiteNoise(1.0)}),
-    "no negative number": lambda: al.processes.WhiteNoise(-1.0),
 }
 
 

@@ -8,7 +8,6 @@ import pytest
 import scipy
 
 import aleator as al
-from aleator.uncertainty import realise
 from zoo import histories, optimum
 
 
@@ -39,22 +38,6 @@ def feedback(gains: Any = (8.0, 3.0), **options: Any) -> al.Feedback:
 
 def push(value):
     return {"u": al.StepFunction([9.0], [value, 0.0])}
-
-
-@pytest.mark.slow
-def test_a_loop_in_two_phases_is_that_of_one():
-    cart, loop = Cart(MASS), feedback([al.Decision(8.0, 1.0, 20.0), 3.0], noise={"x": al.processes.WhiteNoise(1e-4)})
-    options: dict[str, Any] = {"minimize": al.terminal("x").std}
-    whole = al.Problem(cart, grid=al.Grid(1.0, 40), inputs=push(0.7), feedback=loop, **options)
-    inputs = push(0.7)
-    parts = [al.Phase(cart, al.Grid(*one), inputs=inputs, feedback=loop) for one in ((0.4, 16), (0.6, 24))]
-    two = al.Problem(al.Phases(first=parts[0], second=parts[1]), **options)
-    # What is given to both phases is one.
-    assert list(two.placements.decisions) == ["feedback.first.gains.0"]
-    germs = [[-0.8], [0.0], [0.6]]
-    one, other = histories(whole, germs), histories(two, germs)
-    for name in ("x", "v", "x.error", "u.command", "x.variance"):
-        np.testing.assert_allclose(other[f"second.{name}"], one[name][:, 16:], rtol=1e-10, atol=1e-12)
 
 
 def by_scipy(m, gains, begun, pushed, end, place=None):
@@ -102,32 +85,6 @@ def test_where_an_event_ends_a_phase_the_plan_begins_the_next_from_its_own():
 
 
 @pytest.mark.slow
-def test_a_regulator_of_a_later_phase_is_along_the_plan_of_that_phase():
-    class Started(Cart):
-        begun: tuple[al.Number, al.Number] = (0.0, 0.0)
-
-        def initial(self):
-            return {"x": self.begun[0], "v": self.begun[1]}
-
-    regulator, rise = al.Feedback(gains=al.lqr([1.0, 0.5], [0.2])), al.Grid(1.0, 40)
-    phases = al.Phases(
-        first=al.Phase(Cart(MASS), al.Grid(1.0, 40), push(2.0)),
-        led=al.Phase(Cart(MASS), rise, push(-1.0), (), regulator),
-    )
-    found = histories(al.Problem(phases, minimize=al.terminal("x").mean), [[0.5, -0.5]])
-    _, plan = by_scipy(1.0, np.zeros(2), [0.0, 1.0, 0.0, 1.0], 2.0, 1.0)
-    alone = al.Problem(
-        Started(MASS, begun=tuple(plan[2:])),
-        grid=rise,
-        inputs=push(-1.0),
-        feedback=regulator,
-        minimize=al.terminal("x").mean,
-    )
-    gains = np.asarray(found["led.lqr.gains"][0])
-    assert np.ptp(gains[:, 0, 1]) > 1e-2
-    np.testing.assert_allclose(gains, histories(alone, [[0.0]])["lqr.gains"][0], rtol=1e-7)
-
-
 def test_the_multiplier_of_a_led_cycle_is_that_of_the_loop():
     class Unstable(al.System):
         states = ("x", "v")
@@ -150,19 +107,6 @@ def test_the_multiplier_of_a_led_cycle_is_that_of_the_loop():
     loops = (scipy.linalg.expm(2 * np.pi * np.array([[0, 1], [-0.2, -0.5 - 0.1 * node]])) for node in nodes)
     expected = weights @ [np.abs(np.linalg.eigvals(one)).max() for one in loops] / 2
     assert optimum(problem).objective == pytest.approx(expected, rel=1e-5)
-
-
-def test_a_plan_that_never_ends_is_named():
-    # With m = 2.3 it passes 0.4 m at 0.48 s; the plan, with m = 1.5, comes to 0.38 m in 0.5 s.
-    cart, loop = Cart(al.Uniform(1.5, half_width=0.8), drag=2.0), feedback((0.0, 0.0))
-    phases = al.Phases(
-        free=al.Phase(cart, al.Grid(until="gate", at_most=0.5, steps=40), push(0.0), feedback=loop),
-        led=al.Phase(cart, al.Grid(0.8, 40), push(0.7), feedback=loop),
-    )
-    simulation = al.Problem(phases, minimize=al.terminal("v").mean).simulation
-    why = realise(simulation, jnp.array([1.0]), jnp.zeros(0)).explain()
-    assert why.startswith("In the phase 'free', ")
-    assert "never meets 'gate_plan', at which its grid ends, from 0 to 0.5 s" in why
 
 
 class Lag(al.System):

@@ -9,7 +9,6 @@ from boxed_functions import assert_same
 
 import aleator as al
 import black_boxes as boxes
-from aleator.foreign._ask import answers
 from zoo import cases
 
 TWO = {"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Normal(2.0, 0.1)}
@@ -102,20 +101,6 @@ def test_a_dataset_gives_the_same_bits_after_netcdf_too(tmp_path, asked, direct)
         assert_same(asked.tell(one), direct)
 
 
-def test_arrays_are_recognised_by_their_numbers_in_any_order(asked, direct):
-    order = np.random.default_rng(0).permutation(len(asked))
-    told = {name: values[order] for name, values in respond(asked.points).items()}
-    assert_same(asked.tell(told | {"sample": order + 1}), direct)
-
-
-def test_rounded_inputs_that_fit_two_samples_are_refused():
-    points = {"x": np.array([0.0, 1.0, 1.000004, 0.005])}
-    named = {"sample": np.arange(1.0, 5.0), "x": np.array([0.0, 1.000002, 1.000004, 0.005]), "y": np.ones(4)}
-    with pytest.raises(al.ProblemError, match="those of sample 2 are rounded so that they fit another sample too"):
-        answers(points, named)
-    assert len(answers(points, named | {"x": points["x"]})) == 4
-
-
 def renumbered(table):
     return [row | {"sample": i} for i, row in enumerate(sorted(table, key=lambda row: row["x"] * row["z"]), 1)]
 
@@ -128,11 +113,8 @@ def renumbered(table):
             "at sample 5, as asked; received 2.01 (1 of 32 rows differ)",
         ),
         (renumbered, "points changed or rows reordered"),
-        (lambda table: rounded(table, 3), "points changed or rows reordered"),
         (lambda table: [*table, table[3]], "sample 4 has 2 rows"),
         (lambda table: [{k: v for k, v in row.items() if k != "sample"} for row in table], "['sample'] are missing"),
-        (lambda table: [{k: v for k, v in row.items() if k != "v[1]"} for row in table], "expected v[1] next"),
-        (lambda table: [row | {"v": 1.0} for row in table], "either a column 'v' or its entries v[0], ...; received"),
         (
             lambda table: [*table[:4], table[4] | {"y": "NA"}, *table[5:]],
             "row 5: could not convert string to float: 'NA'",

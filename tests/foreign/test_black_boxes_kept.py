@@ -1,11 +1,7 @@
 """Journals of black boxes, executors that run them, and functions in processes of their own."""
 
-import os
 import signal
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,45 +35,6 @@ def test_threads_finish_what_they_have_begun_and_nothing_is_run_twice(tmp_path):
     assert known + counted.calls - before == 30 + FRESH
 
 
-KILLED = """
-import os, signal, sys
-sys.path.insert(0, {folder!r})
-import aleator as al
-import black_boxes as boxes
-
-calls = []
-
-def dying(at):
-    calls.append(at)
-    if len(calls) == 20:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return boxes.smooth(at)
-
-two = {{"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Uniform.bounds(1.0, 3.0)}}
-box = al.foreign.BlackBox(dying, journal="runs.jsonl")
-expanded = al.expand(box, two, al.Expansion(order=3))
-print(len(calls), float(expanded["y"].mean).hex())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_a_process_that_is_killed_loses_no_finished_sample(tmp_path):
-    script = tmp_path / "analysis.py"
-    script.write_text(KILLED.format(folder=str(Path(__file__).parents[1])))
-
-    def run():
-        return subprocess.run([sys.executable, script.name], cwd=tmp_path, capture_output=True, text=True)
-
-    assert run().returncode == -signal.SIGKILL
-    journal = tmp_path / "runs.jsonl"
-    assert len(journal.read_text().splitlines()) == 1 + 19
-    # The last line is cut off in the middle, as by a full disk: its sample runs again.
-    journal.write_bytes(journal.read_bytes()[:-40])
-    finished = run()
-    assert finished.stdout.split() == ["14", float(directly()["y"].mean).hex()], finished.stderr
-
-
 def test_a_box_that_has_changed_is_told_and_run_again(tmp_path):
     journal = tmp_path / "runs.jsonl"
     al.expand(al.foreign.BlackBox(boxes.smooth, journal=journal), TWO, ORDER)
@@ -88,22 +45,6 @@ def test_a_box_that_has_changed_is_told_and_run_again(tmp_path):
     with pytest.warns(al.SimulationWarning, match="32 of these samples by another box"):
         expanded = al.expand(al.foreign.BlackBox(other, journal=journal), TWO, ORDER)
     assert_same(expanded, directly(other))
-
-
-def test_a_plain_number_of_the_model_is_part_of_a_sample(tmp_path):
-    counted = Counted(lambda at: at["gain"] * at["x"])
-    box = al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl", version=1)
-    spreads = [float(al.expand(box, TWO | {"gain": gain}).std) for gain in (1.0, 2.0, 1.0)]
-    assert spreads[1] == pytest.approx(2 * spreads[0])
-    assert counted.calls == 2 * (30 + FRESH)
-
-
-def test_a_file_that_is_no_journal_is_refused_and_left_as_it_is(tmp_path):
-    table = tmp_path / "results.csv"
-    table.write_text("x,y\n1,2\n")
-    with pytest.raises(al.ProblemError, match="whose first line is not a journal's"):
-        al.foreign.BlackBox(boxes.smooth, journal=table)
-    assert table.read_text() == "x,y\n1,2\n"
 
 
 # --- Executors -------------------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import select
 import shutil
 import zipfile
 
-import jax
 import numpy as np
 import pytest
 
@@ -18,7 +17,7 @@ from rods import here
 pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="processes are watched as Linux does")
 
 GRID = al.Grid(2.0, 4)
-ABORTS, LOOPS, LEAVES = 8, 9, 10
+ABORTS, LOOPS = 8, 9
 
 
 def fmu_of(rods, behaviour, *, version=3, **given):
@@ -41,19 +40,6 @@ def has_ended(process):
 
 
 @pytest.mark.slow
-def test_runs_and_their_derivatives_are_the_same_in_a_process_of_its_own(rods):
-    def at(fmu):
-        run = al.foreign.FmuSimulation(fmu, GRID, inputs={"torque": al.Tabulated([0.0, 2.0], [0.0, 1.0])})
-        point = {"damping": 0.2, "rod.length": 1.1}
-        slopes = jax.jacfwd(lambda damping: run({"damping": damping, "rod.length": 1.1})["energy"])(0.2)
-        return {**run(point), "slopes": slopes}
-
-    found, expected = at(al.foreign.Fmu(rods(3))), at(here(rods(3)))
-    for name, values in expected.items():
-        assert np.array_equal(found[name], values)
-
-
-@pytest.mark.slow
 def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods):
     fmu = fmu_of(rods, ABORTS)
     process = process_of(fmu)
@@ -71,10 +57,7 @@ def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods)
 
 
 @pytest.mark.slow
-def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit_and_one_that_exits_is_told(rods):
-    leaving = al.foreign.FmuSimulation(fmu_of(rods, LEAVES), GRID, outputs=["angle"])
-    with pytest.raises(al.SimulationError, match=r"ended its process by exit code 3, with fail_at=0\.6"):
-        leaving({"fail_at": 0.6})
+def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit(rods):
     fmu = fmu_of(rods, LOOPS, time_limit=1.0, kind="co-simulation")
     process = process_of(fmu)
     run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"])

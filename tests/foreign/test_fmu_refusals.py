@@ -1,6 +1,5 @@
 """Wrong names of parameters of FMUs, and runs that fail: one sentence each, with the FMU's name."""
 
-import gc
 from types import SimpleNamespace
 
 import numpy as np
@@ -33,41 +32,33 @@ def test_names_that_are_no_parameters_are_refused(rods, name, message):
     refused(al.ProblemError, f"FMU 'rod3_mc'.*{message}", al.foreign.FmuSystem, fmu, {name: 1.0})
 
 
-FAILURES = {
-    "fails": (1, r"failed at t = \S+ s: the hinge is broken.*error., with fail_at=0.6"),
-    "ends": (2, r"ended the simulation at t = \S+ s, with fail_at=0.6"),
-    "no number": (3, r"not finite at t = 0\.6|output 'energy' is nan at t = 1 s, with fail_at=0.6"),
-    "no start": (4, "failed to initialise: no position at rest"),
-}
+FMI2, FMI3 = (2, "model exchange"), (3, "co-simulation")
+FAILURES = [
+    (1, *FMI2, r"failed at t = \S+ s: the hinge is broken.*error., with fail_at=0.6"),
+    (1, *FMI3, r"failed at t = \S+ s: the hinge is broken.*error., with fail_at=0.6"),
+    (2, *FMI3, r"ended the simulation at t = \S+ s, with fail_at=0.6"),
+    (3, *FMI2, r"not finite at t = 0\.6"),
+    (4, *FMI2, "failed to initialise: no position at rest"),
+]
 
 
-@pytest.mark.parametrize(("version", "kind"), [(2, "model exchange"), (3, "co-simulation")])
-@pytest.mark.parametrize(("behaviour", "message"), FAILURES.values(), ids=FAILURES)
-def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, version, kind, behaviour, message):
+@pytest.mark.parametrize(("behaviour", "version", "kind", "message"), FAILURES)
+def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, behaviour, version, kind, message):
     fmu = here(rods(version), kind=kind, settings={"behaviour": behaviour})
     run = al.foreign.FmuSimulation(fmu, GRID)
     refused(al.SimulationError, f"FMU 'rod{version}_mc'.*{message}", run, {"fail_at": 0.6})
     # Another run begins anew.
-    if behaviour != FAILURES["no start"][0]:
+    if "initialise" not in message:
         assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
 
 
 def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_is_told_the_nearest():
     both = SimpleNamespace(modelExchange=True, coSimulation=True)
-    for kind in ("model exchange", "model-exchange", "ModelExchange", "me"):
-        assert kind_of("rod", both, kind) == "model exchange"
-    assert kind_of("rod", both, "CoSimulation") == kind_of("rod", both, "CS") == "co-simulation"
+    assert kind_of("rod", both, "ModelExchange") == kind_of("rod", both, "me") == "model exchange"
     with pytest.raises(al.ProblemError, match=r"received 'modl exchange'\. Did you mean 'model exchange'\?"):
         kind_of("rod", both, "modl exchange")
     with pytest.raises(al.ProblemError, match=r"one of \['co-simulation'\]; received 'ModelExchange'"):
         kind_of("rod", SimpleNamespace(modelExchange=None, coSimulation=True), "ModelExchange")
-
-
-def test_an_fmu_is_heard_after_another_one_was_forgotten(rods):
-    run = al.foreign.FmuSimulation(here(rods(2)), GRID)
-    here(rods(2, wall=True))
-    gc.collect()
-    refused(al.SimulationError, "failed to initialise: a length must be positive .t = 0.", run, {"rod.length": -1.0})
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):

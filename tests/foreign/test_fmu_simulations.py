@@ -101,7 +101,6 @@ def test_uncertain_parameters_are_expanded(rods):
 
     run, order = swinging(rods, outputs=["energy"]), al.Expansion(order=3)
     expected = al.expand(mine, UNCERTAIN, order)
-    for traced in (False, True):
-        found = al.expand(run, UNCERTAIN, order, traced=traced)["energy"]
-        assert np.asarray(found.mean) == pytest.approx(np.asarray(expected.mean), abs=1e-7)
-        assert np.asarray(found.std) == pytest.approx(np.asarray(expected.std), abs=1e-7)
+    found = al.expand(run, UNCERTAIN, order, traced=False)["energy"]
+    assert np.asarray(found.mean) == pytest.approx(np.asarray(expected.mean), abs=1e-7)
+    assert np.asarray(found.std) == pytest.approx(np.asarray(expected.std), abs=1e-7)

@@ -11,7 +11,7 @@ from compiling import compiled
 from rod_models import Rod
 from rods import here
 from test_documents import code_of
-from zoo import cases, optimum
+from zoo import cases
 
 GRID = al.Grid(1.0, 20)
 
@@ -51,27 +51,6 @@ def test_second_derivatives_of_rates_are_those_of_the_closed_form(rods):
     system = al.foreign.FmuSystem(here(rods(3)))
     curvature = compiled(jax.jacfwd(jax.jacfwd(lambda angle: system.rhs(0.0, (angle, 0.3))[1])))(1.0)
     assert float(curvature) == pytest.approx(1.5 * 9.81 * np.sin(1.0), abs=1e-7)
-
-
-@pytest.mark.slow
-def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods):
-    fmu, energy = here(rods(3)), al.terminal("energy")
-    damping = al.Uniform(al.Decision(0.3, 0.05, 3.0), half_width=0.05)
-
-    def solution(system):
-        return optimum(
-            al.Problem(
-                system,
-                grid=al.Grid(0.4, 2),
-                minimize=al.value("damping.mean"),
-                subject_to=[energy.mean + 2 * energy.std <= 2.2],
-                expansion=al.Expansion(order=1),
-            ),
-            transcription=al.Simultaneous(al.schemes.GaussLegendre(2)),
-        )
-
-    found = solution(al.foreign.FmuSystem(fmu, {"damping": damping, "rod.length": 1.1}))
-    assert found.objective == pytest.approx(solution(Rod(damping, 1.1)).objective, rel=1e-9)
 
 
 def test_a_system_begins_where_the_fmu_does_whatever_moved_before(rods):

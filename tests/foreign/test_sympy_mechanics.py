@@ -1,4 +1,4 @@
-"""Equations of motion of SymPy, by Kane's and by Lagrange's method, against our own bodies and joints."""
+"""Equations of motion of SymPy, by Kane's method against our own bodies and joints, by Lagrange's with constraints."""
 
 from functools import cache
 
@@ -11,7 +11,6 @@ from sympy.physics import mechanics as me
 
 import aleator as al
 from compiling import compiled
-from zoo import cases
 
 M, L, D, G = sp.symbols("m l d g")
 A, B, U_A, U_B, T_A, T_B = me.dynamicsymbols("a b u_a u_b t_a t_b")
@@ -52,18 +51,6 @@ def rods_by_kane(absolute=False):
     kane = me.KanesMethod(WORLD, [A, B], [U_A, U_B], kd_eqs=[A.diff() - U_A, B.diff() - rate_b])
     kane.kanes_equations(rods, [*weights, *couples(inner, outer, U_A, rate_b)])
     return kane
-
-
-@cache
-def rods_by_lagrange():
-    pin, (inner, outer) = hinge(), frames()
-    rods = chain(pin, inner, outer)
-    for rod in rods:
-        rod.potential_energy = rod.mass * G * rod.masscenter.pos_from(pin).dot(WORLD.y)
-    loads = couples(inner, outer, A.diff(), B.diff())
-    method = me.LagrangesMethod(me.Lagrangian(WORLD, *rods), [A, B], forcelist=loads, frame=WORLD)
-    method.form_lagranges_equations()
-    return method
 
 
 def frames():
@@ -111,12 +98,6 @@ class Rods(al.Multibody):
         return super().bias(q, v) + self.d * v
 
 
-RODS_OF = {
-    "Kane": lambda: al.foreign.from_kane(rods_by_kane(), RODS),
-    "Lagrange": lambda: al.foreign.from_lagrange(rods_by_lagrange(), RODS),
-}
-
-
 @compiled
 def motions(model, q, v, force):
     """Accelerations at many states, and their derivatives by every number of the model at the first of them."""
@@ -133,11 +114,10 @@ def states(count):
     return [generator.normal(size=(count, 2)) * scale for scale in (2.0, 4.0, 5.0)]
 
 
-@pytest.mark.parametrize("method", cases(RODS_OF))
-def test_accelerations_of_a_double_pendulum_and_their_derivatives_are_those_of_bodies_and_joints(method):
+def test_accelerations_of_a_double_pendulum_and_their_derivatives_are_those_of_bodies_and_joints():
     at = states(50)
     (found, slopes), (expected, expected_slopes) = (
-        motions(traced(model), *at) for model in (RODS_OF[method](), Rods())
+        motions(traced(model), *at) for model in (al.foreign.from_kane(rods_by_kane(), RODS), Rods())
     )
     assert np.abs(expected).max() > 10
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
@@ -187,20 +167,3 @@ def test_holonomic_constraints_hold_exactly_and_multipliers_are_those_of_sympy()
     # It starts at rest, 0.1 m above the lowest place: v² = 2 g (y(0) - y), and m v² / l + m g cos(angle) holds it.
     y = found["y"]
     np.testing.assert_allclose(found["tension"], 2 * (2 * 9.81 * (-0.4 - y)) / 0.5 - 2 * 9.81 * y / 0.5, rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_inverse_dynamics_of_a_model_with_a_wind_that_changes_gives_the_force():
-    x, speed, force, wind = me.dynamicsymbols("x speed force wind")
-    block = me.Point("P")
-    block.set_vel(WORLD, speed * WORLD.x)
-    kane = me.KanesMethod(WORLD, [x], [speed], kd_eqs=[x.diff() - speed])
-    kane.kanes_equations([me.Particle("block", block, M)], [(block, (force + wind**2) * WORLD.x)])
-    with pytest.raises(al.ProblemError, match=r"the effect of an actuator: .* received wind\(t\)\. .* in numbers"):
-        al.foreign.from_kane(kane, {M: 2.0})
-    blows = al.PowerSeries(start=(1.0, 0.0), end=(3.0, 0.0))
-    model = al.foreign.from_kane(kane, {M: 2.0, wind: blows}, outputs={"pressure": wind**2})
-    motion = {"x": al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))}
-    found = al.simulate(al.InverseDynamics(model, motion=motion), al.Grid(2.0, 20))
-    np.testing.assert_allclose(found["force"], 2.0 * found["x_acceleration"] - found["pressure"], rtol=1e-12)
-    assert np.asarray(found["pressure"])[[0, -1]] == pytest.approx([1.0, 9.0])

@@ -44,15 +44,6 @@ def test_plain_symbols_may_be_states_and_the_time_may_stand_in_rates():
     np.testing.assert_allclose(found["x"], closed, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
-def test_a_mass_matrix_stands_before_the_rates():
-    mass = sp.Matrix([[1, 0], [C, M]])
-    coupled = al.foreign.from_sympy({X: V, V: -K * X}, NUMBERS, mass_matrix=mass, start={X: 0.3})
-    explicit = al.foreign.from_sympy({X: V, V: (-K * X - C * V) / M}, NUMBERS, start={X: 0.3})
-    found, expected = (al.simulate(one, al.Grid(1.0, 50))["x"] for one in (coupled, explicit))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
-
-
 def test_equal_models_share_a_program_and_others_never_do():
     grid = al.Grid(1.0, 17)
     first = al.simulate(oscillator(start={X: 0.3}), grid, PUSH)["x"]

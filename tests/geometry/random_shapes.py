@@ -1,7 +1,6 @@
 """Shapes from vectors of parameters, for random pairs; and their cores in NumPy, for independent answers."""
 
 import functools
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,6 @@ from aleator.geometry import Box, Capsule, Sphere, distance
 from compiling import compiled
 
 KINDS = ("sphere", "capsule", "box")
-PAIRS = list(itertools.combinations_with_replacement(KINDS, 2))
 PAIRS_AT_ONCE = 120
 
 

@@ -1,11 +1,10 @@
-"""Eigenpairs of covariances against closed forms, special functions and another library."""
+"""Eigenpairs of covariances against closed forms and special functions."""
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import openturns as ot
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -91,15 +90,6 @@ def test_eigenvalues_of_a_band_from_zero_are_those_of_the_prolate_spheroidal_fun
     concentration = [2 * c / np.pi * pro_rad1(0, n, c, 1 + 1e-13)[0] ** 2 for n in range(6)]
     process = unit(al.processes.BandLimitedCovariance(0.0, bandwidth), modes=6)
     np.testing.assert_allclose(process.eigenvalues, np.array(concentration) / (2 * bandwidth), atol=1e-9)
-
-
-def test_eigenvalues_of_the_squared_exponential_covariance_agree_with_openturns():
-    interval = ot.Interval(0.0, T)
-    algorithm = ot.KarhunenLoeveQuadratureAlgorithm(interval, interval, ot.SquaredExponential([0.5], [1.0]), 40, 1e-10)
-    algorithm.run()
-    theirs = np.array(algorithm.getResult().getEigenvalues())
-    ours = unit(al.processes.SquaredExponentialCovariance(0.5), modes=8).eigenvalues
-    np.testing.assert_allclose(ours, theirs[:8], rtol=1e-6)
 
 
 @by_name

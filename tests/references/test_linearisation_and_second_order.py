@@ -8,7 +8,6 @@ from scipy import special, stats
 
 import aleator as al
 from compiling import compiled
-from zoo import cases
 
 CLUTCH = {"a": al.Normal(27.645, 0.05 / 3), "c": al.Normal(11.430, 0.01 / 3), "e": al.Normal(50.800, 0.0125 / 3)}
 LIMITS = {"a": 0.05, "c": 0.01, "e": 0.0125}
@@ -122,20 +121,6 @@ def test_expansions_have_the_structure_of_the_outputs():
     assert first["sum"].worst_case(dict.fromkeys("unbg", 1.0)) == pytest.approx(2.5 + 1.0, rel=1e-12)
 
 
-@pytest.mark.slow
-def test_decisions_stand_at_their_initial_values():
-    model = {"z": al.Normal(al.Decision(2.0), al.Decision(0.5, 0.1, 1.0)), "k": al.Decision(np.array([3.0, 7.0]))}
-
-    @compiled
-    def moments():
-        both = [
-            method(lambda m: m["k"] * m["z"], model) for method in (al.references.linearise, al.references.second_order)
-        ]
-        return [(found.mean, found.std) for found in both]
-
-    np.testing.assert_allclose(moments(), [[[6.0, 14.0], [1.5, 3.5]]] * 2, rtol=1e-12)
-
-
 def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
     def moments(level):
         second = al.references.second_order(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
@@ -160,51 +145,12 @@ def test_spreads_are_differentiable_in_the_distributions():
     assert [float(slope) for slope in compiled(jax.jacrev(moments))(w)] == pytest.approx(exact, rel=1e-12)
 
 
-@pytest.mark.slow
-def test_correlated_normal_inputs_have_their_exact_moments():
-    normals = al.correlated({"x": al.Normal(1.0, 0.3), "y": al.Normal(-2.0, 0.5)}, {("x", "y"): 0.6})
-    model = {**normals, "z": al.Uniform(0.5, std=0.2)}
-    covariance = 0.6 * 0.3 * 0.5
-
-    @compiled
-    def moments():
-        summed = al.references.linearise(lambda m: 2 * m["x"] + m["y"] + m["z"], model)
-        product = al.references.second_order(lambda m: m["x"] * m["y"] + m["z"], model)
-        return summed.variance, sum(summed.contributions.values()), product.mean, product.variance
-
-    # Bohrnstedt and Goldberger (1969), for normal numbers.
-    variance = 1.0 * 0.25 + 4.0 * 0.09 + 2 * 1.0 * -2.0 * covariance + 0.09 * 0.25 + covariance**2
-    exact = 4 * 0.09 + 0.25 + 4 * covariance + 0.04, 100.0, -2.0 + covariance + 0.5, variance + 0.04
-    assert [float(one) for one in moments()] == pytest.approx(exact, rel=1e-12)
-
-
 def test_correlated_inputs_of_any_distribution_have_the_correlation_that_was_given():
     model = al.correlated({"c": al.LogNormal(mean=2.0, std=0.3), "e": al.Exponential(mean=0.4)}, {("c", "e"): -0.3})
     variance = compiled(lambda: al.references.linearise(lambda m: m["c"] + m["e"], model).variance)()
     assert float(variance) == pytest.approx(0.3**2 + 0.4**2 - 2 * 0.3 * 0.3 * 0.4, rel=1e-9)
     with pytest.raises(al.ProblemError, match=r"must be normal; received e ~ Exponential"):
         al.references.second_order(lambda m: m["c"] * m["e"], model)
-
-
-LOG_STD = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
-FAMILIES = {
-    "lognormal": (al.LogNormal(mean=2.0, std=0.4), stats.lognorm(LOG_STD, scale=2.0 / math.exp(LOG_STD**2 / 2))),
-    "data of few values": (al.Sample([1.0, 2.0, 2.0, 4.0]), stats.rv_discrete(values=([1, 2, 4], [0.25, 0.5, 0.25]))),
-}
-
-
-@pytest.mark.parametrize("name", cases(FAMILIES))
-def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
-    distribution, oracle = FAMILIES[name]
-    # Of x^2 - x.
-    raw = [1.0, *(float(oracle.moment(k)) for k in range(1, 7))]
-    mean = raw[2] - raw[1]
-    second = raw[4] - 2 * raw[3] + raw[2]
-    third = raw[6] - 3 * raw[5] + 3 * raw[4] - raw[3]
-    variance = second - mean**2
-    found = moments_of_second_order(lambda m: m["x"] ** 2 - m["x"], {"x": distribution})
-    skewness = (third - 3 * mean * second + 2 * mean**3) / variance**1.5
-    assert found == pytest.approx((mean, variance, skewness), rel=1e-7)
 
 
 def test_functions_that_cannot_be_expanded_are_refused():

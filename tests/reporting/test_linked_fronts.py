@@ -38,18 +38,6 @@ def test_each_point_of_a_front_tells_its_decisions_objective_limits_prices_and_c
     assert facts(chosen, "Limits")["Active"] == given.NAME
 
 
-@pytest.mark.slow
-def test_a_front_opens_at_the_design_nearest_to_the_recommended_one():
-    front, recommended = given.front(), given.solution()
-    (block,) = front_blocks({"uOpt": front}, recommended=recommended)
-    assert front.values[block.chosen] == 0.2
-    other = dataclasses.replace(recommended, vector=recommended.vector * 0.5)
-    (block,) = front_blocks({"uOpt": front}, recommended=other)
-    far = [abs(float(one.vector[0]) - float(other.vector[0])) if one.ok else np.inf for one in front.points]
-    assert block.chosen == int(np.argmin(far))
-    assert front_blocks({"uOpt": front}, recommended=given.bar())[0].chosen == 0
-
-
 def test_a_point_without_a_design_tells_why():
     failed = linked().choices[3]
     assert facts(failed, "Certificate")["Status"] == "infeasible"

@@ -16,7 +16,6 @@ from aleator.reporting import design_digest, page_html, provenance, report, save
 from aleator.reporting._first_screen import proposal
 from aleator.reporting._numbers import unit_of_decision, unit_of_expression, units_of_moments
 from aleator.reporting._page import Page
-from aleator.statistics._units import integrated, product, rate, squared
 
 
 @pytest.fixture(scope="module")
@@ -146,13 +145,3 @@ def test_functionals_and_decisions_have_their_units(crane):
     assert units_of_moments(crane) == {"∫x_torque² dt": "N² s", "∫|q_torque q_rate| dt": "J"}
     found = {name: unit_of_decision(name, crane) for name in crane.placements.decisions}
     assert found == {"mass.shape": "", "mass.scale": "kg", "motion.free": "", "t_final": "s"}
-
-
-def test_integrals_and_rates_over_time_are_inverse_where_both_are_simple_and_what_divides_is_set_in_brackets():
-    for unit, integral in (("-", "s"), ("", ""), ("W", "J"), ("m/s", "m"), ("rad/s²", "rad/s"), ("N m/s", "N m")):
-        assert integrated(unit) == integral
-        assert rate(integral) == unit or unit == "-"
-    assert product("N/m", "m") == "(N/m) m"
-    assert (integrated("kg/m³"), integrated("1/s")) == ("(kg/m³) s", "-")
-    assert (squared("m/s²"), squared("-")) == ("(m/s²)²", "-")
-    assert rate("N s/m") == "(N s/m)/s"

@@ -2,15 +2,10 @@
 
 import dataclasses
 import html
-import re
-import tempfile
-from pathlib import Path
 
 import numpy as np
-import plotly.io
 import pytest
 import report_problems as given
-import shown_results as shown
 
 from aleator.reporting import (
     Scene,
@@ -22,7 +17,6 @@ from aleator.reporting import (
     looks,
     percent,
     percentile_figure,
-    plane_figure,
     relative_figure,
     shadow_price_figure,
     trajectory_figure,
@@ -133,14 +127,6 @@ def test_links_keep_their_lengths_in_every_frame_from_the_first_instant_to_the_l
     assert {trace for frame in animation.frames for trace in frame.traces} == {1, 2}
 
 
-def test_systems_that_violate_are_counted_in_the_plane():
-    joints, broken = turning(RATES), RATES > 1.1
-    figure = plane_figure(joints[..., -1, :], joints[0, :, -1], look=LOOK, broken=broken)
-    names = [trace.name for trace in figure.data]
-    assert f"within the limits ({int((~broken).sum())} of 40 drawn)" in names
-    assert f"violating ({int(broken.sum())} of 40 drawn)" in names
-
-
 def test_the_bands_reach_one_sigma_and_the_whole_range():
     rows = RATES[:, None] * np.sin(TIMES)[None]
     figure = bands_figure(TIMES, {"q": rows}, y="Angle", unit="rad", limits=(-1.0, 1.0), targets={"q": 0.0})
@@ -152,66 +138,3 @@ def test_the_bands_reach_one_sigma_and_the_whole_range():
     assert narrow.y[top] - mean.y[top] == pytest.approx(sigma, rel=1e-3)
     assert len(figure.layout.shapes) == 2
     assert figure.data[3].y == (0.0,)
-
-
-# --- Figures for papers -----------------------------------------------------------------------------------------------
-
-
-pytest.importorskip("kaleido", reason="kaleido is not installed")
-
-
-COLUMN = {"width": 420, "height": 320}
-"""The size of a column: 3.5 inches of 120 pixels."""
-
-
-def pictures(*figures):
-    """Some figures as SVG, each with the texts in it, written by one browser."""
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            paths = [Path(folder) / f"{i}.svg" for i in range(len(figures))]
-            plotly.io.write_images(list(figures), paths, **COLUMN)
-            written = [path.read_text(encoding="utf-8") for path in paths]
-    except RuntimeError as error:
-        if "Chrome" not in str(error):
-            raise
-        pytest.skip("kaleido finds no Chromium")
-    for picture in written:
-        assert re.search(r'<svg[^>]* width="420" height="320"', picture)
-    texts = [re.findall(r"<text[^>]*>(.*?)</text>", picture, flags=re.DOTALL) for picture in written]
-    return written, [{html.unescape(re.sub("<[^>]*>", " ", one)).strip() for one in each} for each in texts]
-
-
-def test_usual_figures_are_saved_for_a_paper():
-    names = ["evidence", "trade-off of three", "portfolio", "penalties", "mesh"]
-    written, _ = pictures(*(shown.EVERY[name]().plot() for name in names))
-    assert len(written) == len(names)
-
-
-def test_a_band_on_paper_has_the_numbers_and_units_of_the_solution():
-    solution = given.solution()
-    (picture,), (texts,) = pictures(solution.plot.band("back", sigmas=2.0))
-    assert {"Time (s)", "back (m)", "mean of back ± 2 σ", "reach <b>&: 0.2\u202fm at 1 σ"} <= texts
-    moments = solution.moments["back(t)"]
-    # Pixels count downwards, and those of the least and the largest mean give the scale.
-    paths = re.findall(r'<path class="js-(?:line|fill)" d="([^"]*)"', picture)
-    heights = [np.array(re.findall(r"[ML]-?[\d.]+,(-?[\d.]+)", path), float) for path in paths]
-    # The entry of the legend is a dash.
-    band, *_, line = (one for one in heights if len(one) > 2)
-    scale = np.ptp(moments.mean) / np.ptp(line)
-    values = moments.mean.max() - scale * (np.array([line[0], line[-1], band.min()]) - line.min())
-    expected = [moments.mean[0], moments.mean[-1], (moments.mean + 2 * moments.std).max()]
-    np.testing.assert_allclose(values, expected, atol=0.01)
-
-
-def test_bars_and_intervals_on_paper_have_their_heights():
-    share = given.evidence().violations[given.NAME]
-    figures = shown.expanded().plot.sensitivities("sum <b>&"), given.evidence().plot.violations()
-    (bars, shares), (texts, _) = pictures(*figures)
-    assert {"u", "r", "alone (Sobol index)"} <= texts
-    ends = re.findall(r'<g class="point"><path d="M[^V]*V(-?[\d.]+)H[^V]*V(-?[\d.]+)Z"', bars)
-    heights = [abs(float(top) - float(foot)) for top, foot in ends]
-    np.testing.assert_allclose(np.array(heights) / heights[0], [1.0, 4 / 9] * 2, rtol=0.01)
-    top, foot = map(float, re.search(r'class="yerror" d="M[\d.]+,([\d.]+)h8m-4,0V([\d.]+)', shares).groups())
-    middle = float(re.search(r'class="point" transform="translate\([\d.]+,([\d.]+)\)', shares)[1])
-    ratio = (share.upper - share.estimate) / (share.estimate - share.lower)
-    assert (middle - top) / (foot - middle) == pytest.approx(ratio, rel=0.01)

@@ -122,23 +122,6 @@ def test_a_page_tells_that_a_front_found_a_better_optimum_than_its_design(tmp_pa
     assert "optima" not in reported(tmp_path, {"mine": design}, fronts={"mine": alone}).text
 
 
-@pytest.mark.slow
-def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_share():
-    limit = (STRESS.std <= 0.3).named("spread")
-    solution = al.solve(al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[limit]))
-    evidence = al.validate(solution, 400)
-    said = proposal({"design": evidence.solution}, {"design": evidence})
-    assert "none was counted" in said.headline
-    assert "exceed a limit" not in said.headline
-    rows = dict(said.rows)
-    assert "Limits broken" not in rows
-    # The samples have its statistic.
-    assert rows["Other limits"].startswith("σ[stress] ≤ 0.3: sampled 0.3")
-    assert "σ[stress]" not in rows["Not verified"]
-    alone = proposal({"design": solution}, {"design": replace(evidence, compared=())})
-    assert "σ[stress] ≤ 0.3 (a statistic of all systems together" in dict(alone.rows)["Not verified"]
-
-
 def test_a_solution_that_fresh_simulations_contradict_is_not_to_be_trusted():
     evidence = given.evidence()
     found = replace(evidence, disagreements=(Disagreement("∫effort dt", 1.0, 2.0, 0.1),))
@@ -172,26 +155,6 @@ def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparis
     strict = proposal(designs, {"nominal": often, "robust": few}, target=0.002)
     assert few.joint.upper > 0.002
     assert (strict.level, strict.word) == ("caution", "Do not build yet")
-
-
-class Four(al.AlgebraicSystem):
-    """Four numbers and their sum."""
-
-    a: al.Number
-    b: al.Number
-    c: al.Number
-    d: al.Number
-
-    def outputs(self):
-        return {"sum": self.a + self.b + self.c + self.d}
-
-
-def test_a_headline_names_no_more_numbers_than_can_be_read_in_one_breath():
-    problem = al.Problem(Four(*(al.Decision(2.0, 1.0, 3.0) for _ in range(4))), minimize=al.output("sum").mean)
-    four = al.solve(problem)
-    said = proposal({"four": four}, {"four": al.validate(four, 2)})
-    assert said.headline.startswith("Build the design below.")
-    assert dict(said.rows)["Build"] == "a 1.000; b 1.000; c 1.000; d 1.000"
 
 
 def test_numbers_are_written_with_four_significant_digits():

@@ -12,12 +12,11 @@ from small_expansions import basis_of, prepare, random_coefficients
 
 from aleator import statistics
 from aleator.statistics import AbstractStatistic
-from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+from aleator.uncertainty import HermiteGerm, JacobiGerm, LegendreGerm
 from compiling import compiled
 from zoo import cases
 
 BOUNDED = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
-MIXED = basis_of([HermiteGerm(), LegendreGerm(), HermiteGerm(), LaguerreGerm(3.0)], 2)
 
 STATISTICS = [
     statistics.Mean(),
@@ -46,12 +45,6 @@ COSTLY = (
     statistics.Supremum,
     statistics.Infimum,
 )
-CASES = [
-    (statistics.ConditionalValueAtRisk(0.2, lower=True), BOUNDED),
-    (statistics.Probability(above=-0.2, below=0.5), BOUNDED),
-    (statistics.Infimum(), BOUNDED),
-    (statistics.Quantile(0.9), MIXED),
-]
 
 
 def central_difference(function, x, step):
@@ -67,8 +60,8 @@ def test_no_statistic_is_left_out_of_these_tests():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("statistic", "basis"), CASES)
-def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statistic, basis):
+def test_forward_and_reverse_derivatives_of_extremes_are_those_of_finite_differences():
+    statistic, basis = statistics.Infimum(), BOUNDED
     coefficients = random_coefficients(basis, seed=4, decay=0.15).at[0].set(0.1)
     constants = prepare([statistic], basis).of(statistic)
 
@@ -119,7 +112,6 @@ NUMBERS = cases(
         (statistics.Probability(above=0.3), lambda one: one.above),
         (statistics.ConditionalValueAtRisk(0.9), lambda one: one.level),
         (statistics.Quantile(0.9), lambda one: one.level),
-        (statistics.CornishFisher(0.9), lambda one: one.level),
     ]
 )
 TWO = basis_of([HermiteGerm(), LegendreGerm()], 2)
@@ -144,12 +136,3 @@ def test_derivatives_of_tails_by_their_number_and_by_coefficients_are_those_of_d
     assert np.isfinite(by_coefficients[5]).all()
     if not isinstance(statistic, statistics.Probability):
         assert by_coefficients[5][0] == pytest.approx(1.0)
-
-
-def test_second_derivatives_of_tails_which_are_zero_take_no_equations():
-    """Crossings rest in first derivatives: exact Hessians, as of collocation, leave tails out."""
-    statistic = statistics.Quantile(0.9)
-    coefficients, constants = random_coefficients(TWO, seed=4), prepare([statistic], TWO).of(statistic)
-    slope = jax.jacfwd(lambda terms: statistic.of(terms, constants))
-    first, second = (str(jax.make_jaxpr(one)(coefficients)).count(" while[") for one in (slope, jax.jacfwd(slope)))
-    assert second == first > 0

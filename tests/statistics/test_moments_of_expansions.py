@@ -8,7 +8,7 @@ from scipy import integrate, stats
 from small_expansions import basis_of, coefficients_of_polynomial, prepare, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.expansion import Basis, Expansion, collocate
+from aleator.expansion import Expansion, collocate
 from aleator.statistics import CornishFisher, Correlation, Covariance, Kurtosis, Mean, Skewness, Sobol, Std, Variance
 from aleator.statistics import _shape as shape_module
 from aleator.statistics._shape import square
@@ -76,30 +76,6 @@ def test_a_shared_number_is_fully_correlated_with_itself_and_unshared_ones_are_i
         collocation = collocate(placements(model).germs, Expansion(2)).collocation
         samples = compiled(jax.vmap(lambda xi, m=model: sum(realise(m, xi, np.zeros(0)).values())))(collocation.points)
         assert float(variance(collocation.coefficients(samples))) == pytest.approx(expected, rel=1e-12)
-
-
-DECAY = {"b": Uniform.bounds(0.1, 0.2), "u": Normal(1.5, 0.2)}
-
-
-def decays_moment(power):
-    """E[u^k] E[exp(-k b t)], the second factor by quadrature."""
-    over_b = integrate.quad(lambda b: np.exp(-10.0 * power * b) / 0.1, 0.1, 0.2, epsabs=0, epsrel=1e-13)[0]
-    return stats.norm(1.5, 0.2).moment(power) * over_b
-
-
-def test_moments_of_the_uncertain_decay_converge_exponentially_with_the_order():
-    exact = [decays_moment(1), decays_moment(2) - decays_moment(1) ** 2]
-    orders, found = np.array([1, 4, 7]), []
-    for order in orders:
-        collocation = collocate(placements(DECAY).germs, Expansion(int(order))).collocation
-        b, u = np.asarray(collocation.points).T
-        values = (1.5 + 0.2 * u) * np.exp(-10.0 * (0.15 + 0.05 * b))
-        coefficients = np.asarray(collocation.coefficients(values))
-        found.append([float(coefficients[0]), float(np.sum(coefficients[1:] ** 2))])
-    errors = np.abs(np.array(found) / exact - 1)
-    assert (-np.polyfit(orders, np.log10(errors), 1)[0] > 1).all()
-    assert (errors[-1] < 1e-7).all()
-    assert found[-1] == pytest.approx([float(mean(coefficients)), float(variance(coefficients))], rel=1e-12)
 
 
 def test_a_certain_output_has_no_spread_and_does_not_disturb_derivatives_of_others():
@@ -209,11 +185,6 @@ def test_covariance_and_correlation_are_those_of_the_closed_form():
     assert np.isfinite(slopes).all()
 
 
-def test_a_basis_without_variables_has_statistics():
-    basis = Basis({}, np.zeros((1, 0), dtype=int))
-    assert value(Kurtosis(), np.array([2.0]), basis) == 0.0
-
-
 # --- Sobol indices from coefficients ----------------------------------------------------------------------------------
 
 
@@ -243,13 +214,6 @@ def test_indices_of_ishigamis_function_are_the_published_ones():
     coefficients, basis = ishigami()
     for index, published in INDICES.items():
         assert value(index, coefficients, basis) == pytest.approx(published, abs=1e-6), index
-
-
-def test_the_indices_of_all_sets_of_variables_add_up_to_one_entry_by_entry():
-    basis = basis_of([LegendreGerm(), HermiteGerm(), LegendreGerm()], 3)
-    path = random_coefficients(basis, shape=(5,))
-    sets = ["a", "b", "c", ("a", "b"), ("a", "c"), ("b", "c"), ("a", "b", "c")]
-    assert sum(value(Sobol(one), path, basis) for one in sets) == pytest.approx(np.ones(5), rel=1e-13)
 
 
 def test_an_output_that_does_not_vary_has_zero_indices():

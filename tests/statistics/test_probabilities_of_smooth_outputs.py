@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import special, stats
-from small_expansions import basis_of, coefficients_of_polynomial, prepare
+from small_expansions import basis_of, coefficients_of_polynomial
 
 import aleator as al
 from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, lines_through, sloped
@@ -47,12 +47,6 @@ def chance_of_more(distance, speed, angle, height):
     return by_angle @ speed.sf(needed) @ by_height
 
 
-CASES = {
-    "normal": (normal, normal, normal),
-    "normal speed, others uniform": (normal, uniform, uniform),
-}
-
-
 @functools.cache
 def expanded(*kinds):
     numbers = {"speed": SPEED, "angle": ANGLE, "height": HEIGHT}
@@ -61,10 +55,9 @@ def expanded(*kinds):
     return al.expand(flight, inputs, al.Expansion(10, points=al.points.GaussPoints())), oracles
 
 
-@pytest.mark.parametrize("kinds", CASES)
-def test_the_flight_of_a_ball_with_three_uncertain_numbers_has_eight_digits(kinds):
+def test_the_flight_of_a_ball_with_three_uncertain_numbers_has_eight_digits():
     """At the angle of the longest flight, along which the output turns: lines along the speed find all of it."""
-    made, oracles = expanded(*CASES[kinds])
+    made, oracles = expanded(normal, uniform, uniform)
     mean, std, lines = float(made.mean), float(made.std), lines_through(made.basis)
     for away in (-1.0, 1.0):
         distance = mean + away * std
@@ -75,16 +68,7 @@ def test_the_flight_of_a_ball_with_three_uncertain_numbers_has_eight_digits(kind
     assert float(made.quantile(1 - right)) == pytest.approx(distance, abs=1e-7 * std)
 
 
-def test_mean_and_spread_of_the_flight_have_eight_digits():
-    made, oracles = expanded(normal, normal, normal)
-    axes = [rule(oracles[name], nodes=100) for name in ("speed", "angle", "height")]
-    speed, angle, height = np.meshgrid(*(at for at, _ in axes), indexing="ij")
-    values = np.asarray(flight({"speed": speed, "angle": angle, "height": height}))
-    mean, square = (np.einsum("ijk,i,j,k", power, *(by for _, by in axes)) for power in (values, values**2))
-    assert float(made.mean) == pytest.approx(mean, rel=1e-8)
-    assert float(made.std) == pytest.approx(np.sqrt(square - mean**2), rel=1e-8)
-
-
+@pytest.mark.slow
 def test_where_the_speed_that_is_needed_leaves_its_support_errors_cover():
     made, oracles = expanded(uniform, uniform, uniform)
     mean, std, lines = float(made.mean), float(made.std), lines_through(made.basis)
@@ -92,17 +76,6 @@ def test_where_the_speed_that_is_needed_leaves_its_support_errors_cover():
         estimate, error = Probability(above=mean + away * std).estimated(made.coefficients, lines)
         assert 1e-6 < float(error) < 1e-3
         assert float(estimate) == pytest.approx(chance_of_more(mean + away * std, **oracles), abs=float(error))
-
-
-@pytest.mark.parametrize("threshold", [1.0, 5.0])
-def test_outside_of_a_circle_to_which_lines_return_errors_cover(threshold):
-    """The linear part is along one variable, which crosses the circle twice: non-central chi-square."""
-    basis = basis_of([HermiteGerm()] * 2, 2)
-    coefficients = coefficients_of_polynomial(basis, lambda a, b: a**2 + a + b**2)
-    kind = Probability(above=threshold)
-    estimate, error = (float(one) for one in kind.estimated(coefficients, prepare([kind], basis).of(kind)))
-    assert estimate == pytest.approx(stats.ncx2(2, 0.25).sf(threshold + 0.25), abs=error)
-    assert error < 2e-3
 
 
 def test_slopes_by_lines_along_a_variable_are_those_of_differences():
@@ -117,7 +90,7 @@ def test_slopes_by_lines_along_a_variable_are_those_of_differences():
         assert known.slopes[:, 0] @ direction == pytest.approx((ahead - behind) / 2e-4, rel=1e-5)
 
 
-@pytest.mark.parametrize("chance", [0.1, 0.03, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("chance", [0.1, 1e-2, 1e-4])
 def test_slopes_around_a_circle_that_lines_touch_are_those_of_the_closed_form(chance):
     """`P[s (a² + b²) + m > x] = exp(-(x - m) / (2 s))`."""
     basis, threshold = basis_of([HermiteGerm()] * 2, 2), -2 * np.log(chance)

@@ -6,7 +6,7 @@ from scipy import optimize
 from small_expansions import basis_of, coefficients_of_polynomial, prepare, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.statistics import Infimum, Supremum, _extremes
+from aleator.statistics import Infimum, Supremum
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -35,6 +35,7 @@ def test_extremes_of_one_variable_are_those_found_by_scipy_and_a_constant_is_its
     assert lower[1] == pytest.approx(3.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_bounds_of_two_variables_enclose_what_is_sampled_and_are_exact_at_a_corner():
     basis = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
     monotone = coefficients_of_polynomial(basis, lambda a, b: 2 + a - b + 0.1 * a**3)
@@ -46,22 +47,6 @@ def test_bounds_of_two_variables_enclose_what_is_sampled_and_are_exact_at_a_corn
         assert np.all(high - 1e-9 <= upper)
         assert np.max((upper - high) / np.ptp(values, axis=0)) < 1e-3
         assert upper[0] == pytest.approx(4.1 if sign > 0 else 0.1, rel=1e-10)
-
-
-@pytest.mark.slow
-def test_the_gap_falls_with_the_square_of_the_width_of_the_boxes(monkeypatch):
-    monkeypatch.setattr(_extremes, "_CLOSE", -1.0)
-    basis = basis_of([LegendreGerm()], 3)
-    coefficients = coefficients_of_polynomial(basis, lambda a: -((a - 0.2137) ** 2) + 0.1 * a**3)
-    (top,) = (root for root in np.roots([0.3, -2.0, 2 * 0.2137]) if abs(root) < 1)
-    constants, highest = prepare([Supremum()], basis).of(Supremum()), -((top - 0.2137) ** 2) + 0.1 * top**3
-    gaps = []
-    for most in (1, 8, 64):
-        monkeypatch.setattr(_extremes, "_FEWEST_BOXES", 1)
-        monkeypatch.setattr(_extremes, "_MOST_BOXES", most)
-        gaps.append(float(compiled(lambda c: Supremum().of(c, constants))(coefficients)) - highest)
-    assert gaps[1] < gaps[0] / 20
-    assert gaps[2] < gaps[1] / 20
 
 
 def test_an_unbounded_support_is_refused_with_a_remedy():

@@ -14,18 +14,15 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics import (
     ConditionalValueAtRisk,
-    Mean,
     Probability,
     Quantile,
     cdf,
     lines_through,
     pdf,
     sloped,
-    together,
 )
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
-from zoo import cases
 
 
 def value(statistic, coefficients, basis):
@@ -83,41 +80,6 @@ def test_tails_of_a_linear_function_of_normals_are_right_to_the_ppm():
         assert value(lower, coefficients, basis) == pytest.approx(3 - beyond, rel=1e-6)
 
 
-def test_rejects_of_a_nearly_linear_function_of_normals_are_right_to_a_percent():
-    """A sum of independent quadratics: its exact distribution by one numerical convolution."""
-    basis = basis_of([HermiteGerm()] * 2, 2)
-    coefficients = coefficients_of_polynomial(basis, lambda a, b: a + b + 0.05 * b**2 - 0.03 * a**2)
-    for limit in (3.5, 5.5, 7.0):
-        # P[a - 0.03 a^2 > limit - b - 0.05 b^2], a between the two roots.
-        def tail(b, limit=limit):
-            left = limit - b - 0.05 * b**2
-            half = np.sqrt(np.maximum(1 - 4 * 0.03 * left, 0)) / 0.06
-            centre = 1 / 0.06
-            inside = special.ndtr(centre + half) - special.ndtr(centre - half)
-            return special.ndtr(half - centre) - special.ndtr(-half - centre) if half > 0 else 0.0 * inside
-
-        exact = integrate.quad(lambda b: tail(b) * stats.norm.pdf(b), -8, 8, epsabs=0, epsrel=1e-9, limit=400)[0]
-        assert value(Probability(above=limit), coefficients, basis) == pytest.approx(exact, rel=1e-2)
-
-
-def test_the_sum_of_two_uniform_numbers_follows_the_triangular_distribution():
-    basis = basis_of([LegendreGerm()] * 2, 2)
-    coefficients = coefficients_of_polynomial(basis, lambda a, b: 1 + (a + b) / 2)
-    for threshold in (0.4, 0.8, 1.2):
-        exact = stats.triang(0.5, 0, 2).cdf(threshold)
-        assert value(Probability(below=threshold), coefficients, basis) == pytest.approx(exact, rel=1e-4)
-
-
-def test_tails_of_a_smooth_function_of_three_numbers_have_eight_digits():
-    basis = basis_of([HermiteGerm()] * 3, 2)
-    coefficients = coefficients_of_polynomial(basis, lambda x, y, z: x**2 + 0.3 * y + 0.1 * z**2)
-    at, weights = np.linspace(-8.0, 8.0, 801), stats.norm.pdf(np.linspace(-8.0, 8.0, 801)) * 0.02
-    y, z = np.meshgrid(at, at)
-    for threshold in (5.0, 9.0):
-        right = weights @ (2 * stats.norm.sf(np.sqrt(np.maximum(threshold - 0.3 * y - 0.1 * z**2, 0.0)))) @ weights
-        assert value(Probability(above=threshold), coefficients, basis) == pytest.approx(right, rel=1e-8)
-
-
 def test_tails_on_two_sides_and_around_are_those_of_closed_forms():
     """A product of two normals is as often below a number as above its negative (SciPy's K0), a sum of squares is
     chi-square.
@@ -134,7 +96,7 @@ def test_tails_on_two_sides_and_around_are_those_of_closed_forms():
     assert value(ConditionalValueAtRisk(1 - 1e-4), squares, basis) == pytest.approx(mean_beyond, rel=1e-4)
 
 
-@pytest.mark.parametrize("variables", cases([5, 20]))
+@pytest.mark.parametrize("variables", [5])
 def test_tails_of_sums_of_exponential_numbers_are_within_what_their_error_says(variables):
     inputs = {f"x{i}": al.Gamma(shape=1.0, scale=1.0) for i in range(variables)}
     expanded = al.expand(lambda at: sum(at.values()), inputs, al.Expansion(order=1))
@@ -191,35 +153,6 @@ def test_thresholds_and_levels_that_make_no_event_are_refused():
         Quantile(1.0)
 
 
-BASIS = basis_of([LegendreGerm(), HermiteGerm()], 3)
-
-
-@pytest.mark.slow
-def test_tails_of_one_kind_and_shape_are_those_taken_alone():
-    one, other = (random_coefficients(BASIS, seed, (20,)) for seed in range(2))
-    asked = [
-        (Quantile(0.9), one),
-        (Mean(), one),
-        (Quantile(0.1), other),
-        (Probability(above=0.2), one),
-        (Quantile(0.5), one[:, :3]),
-    ]
-    constants = prepare([kind for kind, _ in asked], BASIS)
-
-    def shared(terms):
-        found = together([(kind, two) for (kind, _), two in zip(asked, terms, strict=True)], constants)
-        assert [values is not None for values in found] == [True, False, True, False, False]
-        return [values for values in found if values is not None]
-
-    def alone(terms):
-        pairs = [(kind, two) for (kind, _), two in zip(asked, terms, strict=True)]
-        return [pairs[i][0].of(pairs[i][1], constants.of(pairs[i][0])) for i in (0, 2)]
-
-    terms = [two for _, two in asked]
-    for found, expected in zip(*(compiled(f)(terms) for f in (shared, alone)), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10)
-
-
 DATA = np.array([0.97, 0.99, 1.01, 1.02, 1.05])
 
 
@@ -265,7 +198,6 @@ def in_elements():
 
 BASES = {
     "two variables": lambda: (two := basis_of([LegendreGerm(), HermiteGerm()], 2), random_coefficients(two, 3)),
-    "four": lambda: (four := basis_of([HermiteGerm(), LaguerreGerm(2.0)] * 2, 2), random_coefficients(four, 3)),
     "elements": in_elements,
 }
 
@@ -274,10 +206,8 @@ BASES = {
 @pytest.mark.parametrize(
     ("kind", "which"),
     [
-        (Quantile(0.02), "elements"),
         (Probability(below=-0.1), "elements"),
         (ConditionalValueAtRisk(0.7), "two variables"),
-        (Probability(above=-0.2, below=0.4), "four"),
     ],
 )
 def test_tails_of_known_coefficients_and_their_slopes_are_those_of_programs(kind, which):
@@ -285,7 +215,7 @@ def test_tails_of_known_coefficients_and_their_slopes_are_those_of_programs(kind
     # Those of a path: beside all lines of one output, others along a variable may be taken where it is known.
     lines = prepare([kind], basis).of(kind).for_one_of(100)
     known = sloped(kind, coefficients[:, None], lines)
-    value, slopes = jax.jit(jax.value_and_grad(lambda terms: kind.of(terms, lines)))(jnp.asarray(coefficients))
+    value, slopes = compiled(jax.value_and_grad(lambda terms: kind.of(terms, lines)))(jnp.asarray(coefficients))
     assert known.values == pytest.approx(float(value), rel=1e-10)
     np.testing.assert_allclose(known.slopes[:, 0], slopes, rtol=1e-6, atol=1e-8)
 
@@ -302,8 +232,3 @@ def test_a_called_function_that_returns_one_array_again_and_again_is_read_each_t
     np.testing.assert_allclose(expanded.mean, [1 / 3], rtol=1e-6)
     sampled = al.references.monte_carlo(simulator, distributions, samples=64, traced=False)
     assert len(np.unique(sampled.values)) == 64
-
-
-def test_a_constant_is_said_not_to_vary():
-    expanded = al.expand(lambda at: 3.0 + 0 * at["x"], {"x": al.Normal(0.0, 1.0)}, al.Expansion(2))
-    assert "it does not vary" in str(expanded)

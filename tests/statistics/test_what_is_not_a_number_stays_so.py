@@ -31,7 +31,7 @@ OF_SAMPLES = [
     *(Variance(), Std(), Skewness(), Kurtosis(), Covariance(), Correlation(), CornishFisher(0.9), Quantile(0.9)),
     *(Probability(above=0.1), Probability(above=-0.5, below=0.5), ConditionalValueAtRisk(0.9), Supremum()),
 ]
-BY_LINES = [Quantile(0.9), Probability(above=-0.5, below=0.5), ConditionalValueAtRisk(0.9), Supremum()]
+BY_LINES = [Quantile(0.9), Supremum()]
 
 
 def shape_of(statistic):

@@ -6,7 +6,6 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.uncertainty import placements
 from compiling import compiled
 
 LEVELS = np.array([1e-4, 0.01, 0.2, 0.5, 0.83, 0.99, 0.9999])
@@ -176,12 +175,3 @@ def test_quantiles_of_a_sample_are_those_of_the_empirical_distribution():
     middle = [np.mean(data < one) + np.mean(data == one) / 2 for one in at]
     assert germ.cumulative(at) == pytest.approx(middle, abs=1e-15)
     assert np.array_equal(germ.quantile(germ.cumulative(at)), at)
-
-
-def test_distributions_with_functions_and_data_can_be_shared_and_survive_flattening():
-    for distribution in (al.Sample([1.0, 2.0, 3.0], location=al.Decision(0.0, -1.0, 1.0)), al.Density(bell, -1.0, 1.0)):
-        shared = distribution.shared("x")
-        leaves, structure = jax.tree.flatten(shared)
-        again = jax.tree.unflatten(structure, leaves)
-        assert again.germ() == distribution.germ()
-        assert tuple(placements({"a": shared, "b": again}).distributions) == ("x",)

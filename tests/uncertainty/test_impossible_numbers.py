@@ -31,25 +31,14 @@ def bell(x):
 
 POSITIVE_NUMBERS = {
     "Uniform half_width": lambda s: al.Uniform(1.0, half_width=s),
-    "Normal std": lambda s: al.Normal(1.0, s),
     "Beta std": lambda s: al.Beta(mean=0.3, std=s),
     "Beta alpha": lambda s: al.Beta(alpha=s, beta=2.0),
-    "Beta beta": lambda s: al.Beta(alpha=2.0, beta=s),
-    "Gamma scale": lambda s: al.Gamma(shape=2.0, scale=s),
     "Gamma shape": lambda s: al.Gamma(shape=s, scale=2.0),
-    "Gamma std": lambda s: al.Gamma(mean=2.0, std=s),
     "Exponential rate": lambda s: al.Exponential(rate=s),
-    "LogNormal mean": lambda s: al.LogNormal(mean=s, std=1.0),
     "LogNormal std": lambda s: al.LogNormal(mean=1.0, std=s),
-    "LogNormal log_std": lambda s: al.LogNormal(log_mean=1.0, log_std=s),
-    "Weibull scale": lambda s: al.Weibull(s, 1.0),
     "Weibull shape": lambda s: al.Weibull(1.0, s),
-    "Weibull std": lambda s: al.Weibull(mean=1.0, std=s),
-    "Gumbel scale": lambda s: al.Gumbel(0.0, s),
-    "Triangular half_width": lambda s: al.Triangular(mean=0.0, half_width=s),
     "TruncatedNormal scale": lambda s: al.TruncatedNormal(1.0, s, lower=0.0),
     "Density scale": lambda s: al.Density(bell, -1.0, 1.0, scale=s),
-    "Sample scale": lambda s: al.Sample([1.0, 2.0], scale=s),
 }
 
 
@@ -62,16 +51,12 @@ def test_a_spread_or_shape_that_is_not_positive_and_finite_is_refused_by_name_an
 
 
 IMPOSSIBLE = [
-    (lambda: al.Uniform.bounds(1.0, 1.0), "lower=1, upper=1"),
     (lambda: al.Beta(mean=0.3, std=0.46), "std=0.46"),  # at most sqrt(mean (1 - mean)), here 0.458
     (lambda: al.Exponential(mean=1.0, lower=2.0), "finite mean above lower.*lower=2"),
-    (lambda: al.Triangular(1.0, 0.5, 2.0), "mode=0.5"),
     (lambda: al.TruncatedNormal(0.0, 1.0, lower=40.0), "within 37 scales.*lower=40"),
     (lambda: al.Density(np.sin, 0.0, 7.0), "not negative.*received -"),
-    (lambda: al.Density(lambda x: 1 / x, 0.0, 1.0), "converge towards its end 0"),
     (lambda: al.Density(lambda x: (1 - x) ** -0.5, 0.0, 1.0), "grows without bound towards its end 1.*location"),
     (lambda: al.Density(lambda x: 1 / (1 + x**2), -np.inf, np.inf), "moments"),
-    (lambda: al.Normal(1.0, al.Decision(0.0, 0.0)), r"std=Decision\(0 in"),
     (lambda: al.Decision(1.0, lower=2.0, upper=0.0), "received 2.0 <= 1.0 <= 0.0"),
     (lambda: al.Toleranced(1.0, plus=0.1, minus=-0.1), "in order.*minus=-0.1"),
 ]
@@ -87,11 +72,6 @@ NARROW, FINITE = "Narrow the bounds of its decisions", "Give the decision finite
 INSIDE_OUT = {
     "gamma below its bound": (lambda: al.Gamma(mean=al.Decision(2, -3, 5), std=1), "mean=-3", NARROW),
     "normal of unbounded std": (lambda: al.Normal(1.0, al.Decision(0.1)), "std=-inf", FINITE),
-    "beta crossing": (
-        lambda: al.Beta(alpha=2, beta=2, lower=al.Decision(0, -1, 2), upper=al.Decision(1, 0, 3)),
-        "lower=2, upper=0",
-        NARROW,
-    ),
     "beta wider than possible": (lambda: al.Beta(mean=al.Decision(0.5, 0.1, 0.9), std=0.4), "mean=0.1", NARROW),
 }
 
@@ -110,13 +90,6 @@ def test_a_spread_may_vanish_or_grow_without_bound_where_every_decision_in_betwe
     al.Beta(alpha=2, beta=2, lower=al.Decision(0, 0, 1), upper=1)
     al.Gamma(shape=2, scale=al.Decision(1, 0), lower=al.Decision(0))
     al.Beta(mean=al.Decision(0.5, 0.2, 0.8), std=al.Decision(0.1, 0.01, 0.3))
-
-
-def test_decisions_shared_under_one_name_reach_only_the_corners_that_they_share():
-    k = al.Decision(2.0, 1.0, 5.0).shared("k")
-    distribution = al.Beta(mean=k, std=0.1, lower=0.0, upper=al.Decision(9.0, 6.0, 10.0))
-    assert len(list(distribution.corners())) == 4
-    assert list(al.Gamma(mean=k, std=k).corners()) == [{"mean": 1.0, "std": 1.0}, {"mean": 5.0, "std": 5.0}]
 
 
 # --- Numbers declared positive ----------------------------------------------------------------------------------------
@@ -143,10 +116,8 @@ REACH_ZERO = {
     "normal": al.Normal(10.0, 0.001),
     "uniform that touches zero": al.Uniform(1.0, half_width=1.0),
     "decision": al.Decision(1.0, 0.0, 2.0),
-    "decided both": al.Uniform(al.Decision(3.0, 2.0, 5.0), half_width=al.Decision(1.0, 0.5, 2.0)),
     "beta with decided lower end": al.Beta(mean=1.5, std=0.1, lower=al.Decision(1.0, 0.0, 1.2), upper=2.0),
     "lognormal": al.LogNormal(mean=1.0, std=0.5, lower=-0.1),
-    "truncated normal with decided end": al.TruncatedNormal(1.0, 0.5, lower=al.Decision(0.1, 0.0, 0.2)),
     "sample": al.Sample([1.0, 2.0], location=al.Decision(0.0, -2.0, 0.0)),
     "held at its mean": at_means(al.Uniform(1.0, half_width=2.0)),
 }
@@ -155,7 +126,6 @@ STAY_POSITIVE = {
     "beta whose decided spread may nearly vanish": al.Beta(
         mean=0.5, std=al.Decision(0.1, 1e-6, 0.2), lower=al.Decision(0.1, 0.1, 0.2), upper=1.0
     ),
-    "gamma whose decided spread may nearly vanish": al.Gamma(mean=2.0, std=al.Decision(0.1, 1e-6, 0.2), lower=0.1),
     "decided uniform": al.Uniform(al.Decision(3.0, 2.0, 5.0), half_width=al.Decision(1.0, 0.5, 1.999)),
     "no numbers": np.zeros(0),
     "a function": abs,
@@ -181,12 +151,7 @@ def test_positive_fields_are_found_anywhere_in_a_model_and_the_lowest_value_is_t
             Holder({"a": (Mass(al.Normal(1e6, 1.0)),)}),
             r"^'inside.a.0.m' must stay .* below\. Write TruncatedNormal\(location=1000000, scale=1, lower=999994\)",
         ),
-        (
-            [Mass(al.TruncatedNormal(22e3, 1500.0, upper=23e3))],
-            r"Write TruncatedNormal\(location=22000, scale=1500, lower=13000, upper=23000\)",
-        ),
         ([Mass(al.Normal(3.0, 1.0))], r"Write LogNormal\(mean=3, std=1\), which has the same mean"),
-        ([Mass(al.Normal(-3.0, 1.0))], "Give a distribution above zero"),
         ([Mass(al.Normal(al.Decision(3.0, 1.0, 5.0), 1.0))], "Raise its lower bound, or those of the decisions in it"),
         (Whole(Mass("heavy"), {}), "^'system.m' must stay .*expected a number.*received str 'heavy'"),
     ]:
@@ -239,13 +204,10 @@ def test_mean_spread_limits_and_capability_are_those_computed_by_hand():
     [
         ("27.645 +0.05/-0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
         ("27.645 -0.02/+0.05", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
-        ("27.645+0.05-0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
         ("27.645 +0.05 \N{MINUS SIGN}0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
         ("20 -0.007/-0.028", {"nominal": 20.0, "plus": -0.007, "minus": 0.028}),
-        ("8 0/-0.1", {"nominal": 8.0, "plus": 0.0, "minus": 0.1}),
         ("27.645 ±0.05", {"nominal": 27.645, "tolerance": 0.05}),
         ("11.43 +/- 0.01", {"nominal": 11.43, "tolerance": 0.01}),
-        ("1.5e-3 +/- 1e-5", {"nominal": 1.5e-3, "tolerance": 1e-5}),
     ],
 )
 def test_a_drawings_text_is_read_in_its_usual_forms(text, parameters):
@@ -266,8 +228,3 @@ def test_a_decided_tolerance_is_a_number_of_the_model_and_sets_the_spread():
     real = realise(model, jnp.array([1.5, -1.0]), jnp.array([0.1]))
     assert float(real["a"]) == pytest.approx(27.645 + 1.5 * 0.1 / 3.75, rel=1e-14)
     assert float(real["c"]) == pytest.approx(11.43 - 0.01 / 3, rel=1e-14)
-
-
-def test_sharing_keeps_the_side_to_which_the_process_is_shifted():
-    distribution = Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=1.5, towards="lower").shared("d")
-    assert float(distribution.mean()) == pytest.approx(9.925, rel=1e-14)

@@ -10,7 +10,7 @@ import pytest
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import highest, is_leaf, lowest, named_leaves
+from aleator._core.leaves import highest, lowest
 from aleator.uncertainty import (
     AbstractDistribution,
     Beta,
@@ -131,16 +131,6 @@ def test_a_shared_decision_is_one_decision_wherever_it_is_placed():
     assert real["c"].tolist() == real["d"].tolist() == [8.0, 9.0]
 
 
-def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisions():
-    distribution, number = Normal(0.0, 1.0), Decision(1.0)
-    model = {"a": distribution, "b": distribution, "c": number, "d": number}
-    places = placements(model)
-    assert tuple(places.distributions) == ("a", "b")
-    assert tuple(places.decisions) == ("c", "d")
-    real = realise(model, np.array([1.0, 2.0]), np.array([3.0, 4.0]))
-    assert {name: float(value) for name, value in real.items()} == {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
-
-
 def test_one_shared_name_for_two_things_is_refused():
     for first, second in [
         (Normal(0.0, 1.0).shared("x"), Normal(0.0, 2.0).shared("x")),
@@ -211,47 +201,6 @@ def test_array_decisions_fill_the_vector_and_are_named_entry_by_entry():
     assert named["a"] == 10.0
     assert named["b"].tolist() == [[11, 12, 13], [14, 15, 16]]
     assert named["c"].tolist() == [17]
-
-
-class Range(eqx.Module):
-    """A user's class whose fields are called like those of a decision."""
-
-    initial: Any
-    lower: Any
-    upper: Any
-
-
-class Oddity(eqx.Module):
-    """A user's class that has all that a distribution has, by name."""
-
-    distribution: Any = None
-    parameters: Any = None
-    shared_name: Any = None
-    shape: Any = None
-
-    def support(self):
-        return 0.0, 1.0
-
-    def germ(self):
-        return None
-
-
-def test_no_class_of_a_user_is_taken_for_a_leaf():
-    for model in (Range(1.0, 0.0, 2.0), Oddity(), Oddity(distribution=Oddity())):
-        assert not is_leaf(model)
-        assert placements(model).entry_names() == ()
-        assert placements(model).germ_names == ()
-
-
-def test_leaves_inside_of_classes_that_look_like_leaves_are_found():
-    look_alike = Range(al.Normal(1.0, 0.1), al.Decision(0.5, 0.0, 1.0), Oddity(shape=al.Uniform.bounds(0.0, 1.0)))
-    model = {"a": (1.0, [look_alike])}
-    found = placements(model)
-    assert found.germ_names == ("a.1.0.initial", "a.1.0.upper.shape")
-    assert found.entry_names() == ("a.1.0.lower",)
-    realised = realise(model, np.array([1.0, 1.0]), np.array([0.25]))
-    ((_, first), (_, second), (_, third)) = [pair for pair in named_leaves(realised) if eqx.is_array(pair[1])]
-    np.testing.assert_allclose([first, second, third], [1.1, 0.25, 1.0])
 
 
 def test_numbers_of_containers_that_say_so_go_by_their_own_names_at_any_depth():
