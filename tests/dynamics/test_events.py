@@ -163,6 +163,89 @@ def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers()
     refused(Rooted(-1.0), al.Grid(1.0, 10), "meets 'floor' at t = 0.4515 s", "sets 'v' to what is not", "e=-1")
 
 
+class Leaving(al.System):
+    """What a spring, or a push, takes from the place of an event, at rest: the function is written in two ways."""
+
+    states = ("x", "v", "met")
+    sign: al.Number
+    place: al.Number = 0.1 + 0.2
+
+    def level(self, t, z):
+        return self.sign * (z.x - 0.3)
+
+    def leapt(self, t, z):
+        return {"v": 5.0 + 0.0 * z.v, "met": z.met + 1.0}
+
+    events: ClassVar = {"place": al.Event(level, direction=-1, jump=leapt)}
+
+    def initial(self):
+        return {"x": self.place}
+
+    def rhs(self, t, z, push):
+        return z.v, push - z.x, 0.0
+
+    def outputs(self, t, z):
+        return {"x": z.x, "met": z.met}
+
+
+class Returning(Leaving):
+    events: ClassVar = {"place": al.Event(Leaving.level, direction=1, jump=Leaving.leapt)}
+
+
+class Passing(Leaving):
+    events: ClassVar = {"place": al.Event(Leaving.level, jump=Leaving.leapt)}
+
+
+PULLED: dict[str, Any] = {"push": al.StepFunction([0.45], [0.0, 0.0])}
+
+
+@pytest.mark.parametrize(("system", "sign"), cases([(Leaving, 1.0), (Returning, -1.0)], 2))
+def test_a_start_at_rest_on_an_event_is_the_same_whichever_way_its_function_is_written(system, sign):
+    # On the surface exactly, and but for rounding.
+    for place in (0.3, 0.1 + 0.2):
+        refused(system(sign, place), al.Grid(1.0, 10), "starts at 'place'", "t = 0 s", inputs=PULLED)
+        # The other way it does not count: x = x_0 cos t.
+        history = al.simulate(system(-sign, place), al.Grid(1.0, 10), PULLED)
+        assert history["met"][-1] == 0.0
+        assert history["x"][-1] == pytest.approx(place * np.cos(1.0), abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_start_at_rest_on_an_event_of_both_directions_is_told_and_so_is_what_leaves_it_later():
+    refused(Passing(1.0), al.Grid(1.0, 10), "starts at 'place'", "t = 0 s", inputs=PULLED)
+    held: dict[str, Any] = {"push": al.StepFunction([0.45], [0.3, 0.0])}
+    for system, sign in ((Leaving, 1.0), (Returning, -1.0)):
+        refused(system(sign, 0.3), al.Grid(1.0, 10), "starts at 'place'", "from t = 0.45 s", inputs=held)
+
+
+class Emptied(al.System):
+    """A tank whose level falls evenly; behind its bottom the root has no rate."""
+
+    states = ("h",)
+    events: ClassVar = {
+        "falls": al.Event(lambda self, t, z: self.depth(z), direction=-1),
+        "rises": al.Event(lambda self, t, z: -self.depth(z), direction=1),
+    }
+
+    def depth(self, z):
+        return jnp.sqrt(jnp.maximum(z.h, 0.0)) - 0.3
+
+    def initial(self):
+        return {"h": 1.0}
+
+    def rhs(self, t, z):
+        return (-1.0,)
+
+    def outputs(self, t, z):
+        return {"h": z.h}
+
+
+def test_a_function_without_a_rate_behind_its_zero_crosses_it_whichever_way_it_is_written():
+    for name in Emptied.events:
+        ended = al.simulate(Emptied(), al.Grid(until=name, at_most=2.0, steps=1))["time"][-1]
+        assert ended == pytest.approx(1.0 - 0.3**2, rel=1e-12)
+
+
 @pytest.mark.slow
 def test_a_jump_that_stays_two_events_at_once_and_one_that_is_only_touched_are_told_too():
     refused(Stopped(), al.Grid(1.0, 10), "stays at 'floor'", "t = 0.4515 s")
