@@ -138,8 +138,8 @@ def _named(system: System) -> str:
 
 _FAULTS = {
     LOST: (
-        "meets '{name}' at about t = {t:.4g} s, but its function touches zero there with next to no rate, or steps are "
-        "too long to find where. Take more steps, or bound what leads there."
+        "meets '{name}' in the step after t = {t:.4g} s, but the time is not found: steps are too long beside the "
+        "motion, or its function touches zero with next to no rate. Take more steps, or bound what leads there."
     ),
     MANY: (
         "meets '{name}' again and again within one step, at about t = {t:.4g} s. Infinitely many events in a finite "

@@ -294,7 +294,7 @@ class Simulation(AbstractPlanned):
             return self.declared().explain(events)
         system = self.traced
         if isinstance(system, LinkedSystems):
-            return self._explain_phases(events)
+            return (self.declared() if self.equations is None else self)._explain_phases(events)
         if isinstance(system, AlgebraicSystem):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
