@@ -16,7 +16,7 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.leaves import Module
 from aleator.expansion._basis import Basis
-from aleator.uncertainty import AbstractGerm
+from aleator.uncertainty import AbstractGerm, SampleGerm
 
 _SOBOL_BITS = 30
 
@@ -324,4 +324,6 @@ def _induced(
         cumulative = np.append(0.0, np.cumsum(masses[:, degree]))
         mine = degrees == degree
         values[mine] = np.interp(levels[mine] * cumulative[-1], cumulative, edges)
+    if isinstance(germ, SampleGerm):
+        return germ.values[np.searchsorted((germ.values[1:] + germ.values[:-1]) / 2, values)]
     return values

@@ -189,7 +189,7 @@ class Sample(AbstractDistribution):
     It is the empirical distribution in every respect: polynomials (arbitrary polynomial chaos), mean, standard
     deviation (divided by n, not by n - 1), quantiles and drawn values are those of the data; no other value ever
     occurs. The order of an expansion must be less than the number of distinct values. For values between the data, fit
-    a distribution or give a `Density`.
+    a distribution or give a `Density`. `al.MultiElement` refuses data, which no element divides.
 
     Raises `ProblemError` unless the data are at least two distinct, finite numbers.
     """
