@@ -8,7 +8,7 @@ import scipy
 
 import aleator as al
 from aleator.uncertainty import correlations_at, placements
-from zoo import Decay, Gain, optimum
+from zoo import Decay, Gain
 
 GRID = al.Grid(3.0, 120)
 TIMES = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 25))
@@ -94,10 +94,8 @@ def test_data_behind_the_event_that_ends_a_motion_are_refused_by_name():
         fit = al.residuals("x", np.tile(times, 2), data, std=0.1)
         return al.Problem(Halving(al.Decision(1.05, 0.3, 3.0), 1.0), grid=grid, minimize=fit)
 
-    times = np.array([0.2, 0.5, 0.65, 1.0])
     with pytest.raises(al.SolveError, match=r"residuals of 'x' compare a datum at 1 s with .* ends at 0.693\d s"):
-        al.solve(problem(times))
-    assert float(optimum(problem(times[:-1])).decisions["rate"]) == pytest.approx(1.0, abs=1e-5)
+        al.solve(problem(np.array([0.2, 0.5, 0.65, 1.0])))
 
 
 def test_each_phase_has_data_at_its_own_times():

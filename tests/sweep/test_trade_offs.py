@@ -67,6 +67,7 @@ def test_a_convex_front_is_that_of_the_closed_form_and_weights_are_its_slopes(me
     assert np.isnan(found.weights[[0, -1]]).all() or method == "weights"
 
 
+@pytest.mark.slow
 def test_three_wishes_fill_a_surface_that_is_saved_and_drawn(tmp_path):
     found = al.trade_off(near(np.eye(3)[0], np.eye(3)[1]), THREE, 10)
     assert len(found.values) >= 8

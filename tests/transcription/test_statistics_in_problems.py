@@ -98,8 +98,7 @@ def test_derivatives_of_every_statistic_agree_with_central_differences(closed, f
     def values(x):
         return program.evaluate(x).constraints
 
-    steps = (1e-4, 1e-5, 1e-6)
-    assert derivative_error(values, exact.jacobian, point, rows, steps) < 1e-5
+    assert derivative_error(values, exact.jacobian, point, rows, steps=(1e-5,)) < 1e-5
 
 
 def test_a_deterministic_problem_knows_every_statistic():

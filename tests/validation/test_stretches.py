@@ -62,6 +62,7 @@ def test_stretches_are_the_whole_sample_in_order():
         assert before in {*ends, 0}
 
 
+@pytest.mark.slow
 def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeypatch: pytest.MonkeyPatch):
     stored = al.validate(solution, SAMPLES, batch=100, keep=150)
     monkeypatch.setattr(_validate, "_MANY", 0)

@@ -30,6 +30,7 @@ def thrown(wind=CALM, angle=0.6, **options):
     return al.Problem(shot, inputs={"wind": wind}, **({"grid": LANDING, "minimize": -al.terminal("x").mean} | options))
 
 
+@pytest.mark.slow
 def test_the_range_has_the_mean_and_the_spread_of_its_closed_form():
     times, ranges = al.at("ground"), al.at("ground", "x")
     limits = [times.mean <= 10.0, times.std <= 10.0, ranges.std <= 100.0, al.integral("y").mean <= 100.0]

@@ -72,9 +72,8 @@ CONVERGING = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=[pytest.mark.slow] * (i > 0)) for i, one in enumerate(CONVERGING)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONVERGING)
 def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     """The least cost is the solution of Riccati's equation: sinh(w T) / (w cosh(w T) + sinh(w T)), w = sqrt(2)."""
     (scheme, intervals), duration = CONVERGING[name], 2.0
