@@ -77,33 +77,8 @@ def test_rare_events_are_estimated_by_twenty_thousand_samples(event):
 
 # The error of the integral is told: these tails are known to some percent.
 @pytest.mark.filterwarnings("ignore:P.output:aleator.ExpansionWarning")
-@pytest.mark.parametrize("event", ["RP54", "RP107"])
-def test_sums_have_their_rare_tails_by_expansion(event):
-    function, x, threshold, probability = EVENTS[event]
-    expanded = al.expand(lambda at: function(at, threshold), x, al.Expansion(order=1))
-    assert expanded.probability(below=0.0) == pytest.approx(probability, rel=0.2)
-
-
-def test_a_limit_state_that_jumps_is_not_resolved():
-    with pytest.warns(al.ExpansionWarning, match="does not resolve the output"):
-        al.expand(lambda at: switched(at, 5.0), SWITCHED)
-
-
-# The error of the integral is told: these tails are known to some percent.
-@pytest.mark.filterwarnings("ignore:P.output:aleator.ExpansionWarning")
 def test_a_paraboloid_of_a_hundred_inputs_is_expanded_exactly():
     expanded = al.expand(paraboloid, normals(100), al.Expansion(order=2, fit=al.fits.Sparse()))
     assert (expanded.mean, expanded.std) == pytest.approx((5.4, 1.72626765), rel=1e-6)
     assert expanded.skewness == pytest.approx(0.153957477, rel=1e-6)
     assert expanded.probability(below=0.0) == pytest.approx(OF_PARABOLOID, rel=0.2)
-
-
-def test_a_paraboloid_of_a_hundred_inputs_is_counted_where_weights_degenerate():
-    solution = as_it_is(paraboloid, normals(100), 4.5)
-    with pytest.warns(al.ExpansionWarning, match="contradict the solution"):
-        share = al.rare_violation(solution, samples=2000)
-    assert isinstance(share, al.results.Proportion)
-    assert share.lower <= OF_PARABOLOID <= share.upper
-    counts = [al.references.monte_carlo(paraboloid, normals(100), 10**5, seed=seed) for seed in range(4)]
-    counted = np.mean([count.probability(below=0.0).value for count in counts])
-    assert abs(counted - OF_PARABOLOID) < 2 * np.sqrt(OF_PARABOLOID / 4e5)

@@ -9,33 +9,6 @@ import aleator as al
 pytestmark = pytest.mark.slow
 
 
-# --- Truncated normals (openturns/openturns#2058, JuliaStats/Distributions.jl#827) ------------------------------------
-
-# Mean and standard deviation of N(location, scale) within an interval, by mpmath with 50 digits.
-TRUNCATED = {
-    (145.0, 10.0, 125.0, 165.0): (145.0, 8.7962566103424),
-    (0.0, 1.0, -0.5, 0.5): (0.0, 0.283882290044328),
-    (50.0, 1.0, 14.0, 15.0): (14.971475029403313, 0.02850184499961821),
-}
-
-
-def truncated(location, scale, lower, upper):
-    x = al.TruncatedNormal(location, scale, lower=lower, upper=upper)
-    return al.expand(lambda at: at["x"], {"x": x}, al.Expansion(order=3))
-
-
-@pytest.mark.parametrize("numbers", TRUNCATED)
-def test_truncated_normals_have_their_moments_35_scales_from_the_mode(numbers):
-    expanded = truncated(*numbers)
-    assert (expanded.mean, expanded.std) == pytest.approx(TRUNCATED[numbers], rel=1e-9, abs=1e-15)
-
-
-@pytest.mark.parametrize("numbers", [(50.0, 1.0, 3.0, 4.0), (1e6, 1.0, 0.0, 1000.0)])
-def test_truncated_normals_beyond_37_scales_are_refused(numbers):
-    with pytest.raises(al.ProblemError, match="a part of the interval within 37 scales of the location"):
-        truncated(*numbers)
-
-
 # --- The ratio of correlated lognormals (Dakota user's manual, logratio_uq_reliability) ------------------------------
 
 
@@ -97,14 +70,10 @@ def test_a_flood_over_a_bounded_friction_has_its_moments():
     assert expanded.std == pytest.approx(1.307230, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("least", "mean", "stds"), [(0.0, -10.949307, (1.30, 1.40)), (1.0, -10.950241, (1.317, 1.343))]
-)
-def test_a_flood_whose_variance_is_infinite_or_nearly_so_is_not_called_resolved(least, mean, stds):
+def test_a_flood_whose_variance_is_infinite_is_not_called_resolved():
     with pytest.warns(al.ExpansionWarning, match="does not resolve the output"):
-        expanded = al.expand(height, river(least), al.Expansion(order=4))
-    assert expanded.mean == pytest.approx(mean, rel=1e-3)
-    assert stds[0] < expanded.std < stds[1]
+        expanded = al.expand(height, river(0.0), al.Expansion(order=4))
+    assert expanded.mean == pytest.approx(-10.949307, rel=1e-3)
 
 
 @pytest.mark.parametrize("analyse", [al.expand, al.references.monte_carlo])

@@ -9,7 +9,6 @@ import pytest
 import aleator as al
 from aleator.reporting import interval
 from aleator.studies._motion import TARGET, compared, to_build
-from aleator.studies.swing_up._chapter import terminal_norm
 from zoo import STRESS, bar_problem
 
 SAID = {"labels": {"width": "a width of"}, "who": "samples", "objective": "mass"}
@@ -86,14 +85,3 @@ def test_what_compares_with_printed_numbers_follows_from_the_numbers():
         changes = [float(one) for one in re.findall(r"[+−]([\d.]+)\u202f% \(published", sentence)]
         np.testing.assert_allclose(changes, [abs(ours[name] / 10 - 1) * 100 for name in "bc"], rtol=5e-3)
     assert compared({"a": 1.0, "b": 1.2}, {"a": 3.0}, "efforts") == ""
-
-
-def test_the_variance_of_the_tip_is_told_with_the_error_of_its_sample():
-    # Of n normal numbers the variance has the standard error s² sqrt(2 / n); so has the norm of two of equal size.
-    count, spread = 20_000, 0.3
-    ends = np.random.default_rng(4).normal(0.0, spread, (2, count, 1))
-    systems: dict[str, np.ndarray] = {"tip_x": ends[0], "tip_y": ends[1]}
-    family = al.results.Motions("outputs", np.zeros(1), systems, {}, {}, {})
-    value, error = (float(part) for part in terminal_norm(family).split(" ± "))
-    assert error == pytest.approx(spread**2 * np.sqrt(2 / count), rel=0.35)
-    assert abs(value - np.sqrt(2) * spread**2) < 4 * error
