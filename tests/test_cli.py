@@ -8,7 +8,7 @@ from rich.console import Console
 
 import aleator as al
 from aleator import cli, studies
-from aleator.cli._terminal import fitted, shown
+from aleator.cli._terminal import fitted
 from aleator.reporting import Table, Verdict
 from aleator.studies import Draft
 from command_line import aleator, said
@@ -80,18 +80,6 @@ def test_text_in_square_brackets_is_printed_as_it_is(run, monkeypatch, tmp_path:
         assert text in told
     failed = run(stopped(al.SolveError(f"message {BRACKETS}")), "--out", BRACKETS)
     assert f"message {BRACKETS}" in failed.output
-
-
-def test_progress_is_few_lines_where_it_cannot_overwrite_itself():
-    console = Console(file=io.StringIO(), width=80)
-    with shown(console, 1.0) as progress:
-        progress.begin("front")
-        for done in range(51):
-            progress.show(f"point {done}", done, 50)
-        progress.end("front", "1.0 s")
-    first, last, end = console.file.getvalue().splitlines()
-    assert first.startswith("  point 1, 1 of 50, about ")
-    assert (last, end) == ("  point 50, 50 of 50", "front: 1.0 s")
 
 
 @pytest.mark.parametrize("width", [40, 60, 200])

@@ -22,7 +22,7 @@ DOCUMENTS = sorted(
 )
 TUTORIALS = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/tutorials").glob("*.ipynb"))
 EXAMPLES = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py"))
-IN_SMALL = {"examples/ride_travel_holding.py": (6, 200)}  # points, samples
+IN_SMALL = {"examples/ride_travel_holding.py": (3, 200)}  # points, samples
 # Errors and warnings are told where they are raised; topics have pages or guides of their own.
 ELSEWHERE = re.compile(r".*(Error|Warning)$|compilation_cache$|Abstract.*|[a-z_]+$")
 

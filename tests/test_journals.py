@@ -2,12 +2,9 @@
 
 import configparser
 import dataclasses
-import json
 import os
-import signal
 import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -141,23 +138,6 @@ def test_a_file_that_is_damaged_is_told_and_computed_again(tmp_path: Path, solve
         assert len(solved) == number
 
 
-def test_results_whose_places_were_exchanged_are_told_and_computed_again(tmp_path: Path, solved: list):
-    with al.journal(tmp_path):
-        for load in (1.0, 1.1):
-            al.solve(bar_problem(load=load))
-    lines = [json.loads(line) for line in (tmp_path / FILE).read_text().splitlines()]
-    one, other = (line for line in lines if line["state"] == "done")
-    for name in ("file", "digest"):
-        one[name], other[name] = other[name], one[name]
-    (tmp_path / FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
-    with pytest.raises(al.ProblemError, match="holds another result than the journal says"):
-        al.load(tmp_path)["solve Bar 1"]
-    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="another result .* computed again"):
-        found = al.solve(bar_problem())
-    assert found.objective == pytest.approx(2 * NEEDED, rel=1e-6)
-    assert len(solved) == 3
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="other processes are not looked at there")
 def test_what_a_dead_process_was_running_is_told_as_interrupted(tmp_path: Path):
     gone = subprocess.Popen(["true"])
@@ -229,45 +209,6 @@ def test_an_earlier_result_outlives_the_death_of_the_run_that_computes_it_afresh
         assert al.solve(bar_problem()).vector.tobytes() == before.vector.tobytes()
     assert len(solved) == 1
     assert states(tmp_path) == ["done"]
-
-
-SWEPT = """
-    import sys
-    import numpy as np
-    import zoo
-    import aleator as al
-
-    with al.journal(sys.argv[1]):
-        problem = zoo.bar_problem()
-        front = al.pareto(problem, "stress", np.linspace(0.4, 0.9, 6))
-        calibrated = al.calibrate(problem, "stress", target=0.05, samples=2000)
-    np.save(sys.argv[2], np.concatenate([front.objectives, front.shadow_prices, [calibrated.solution.objective]]))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
-def test_a_run_that_is_killed_ends_as_an_undisturbed_one(tmp_path: Path):
-    (tmp_path / "swept.py").write_text(textwrap.dedent(SWEPT))
-    places = [str(Path(__file__).parent), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
-
-    def begun(folder: str, result: str) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, "swept.py", folder, result], cwd=tmp_path, env=environment)
-
-    def results() -> int:
-        path = tmp_path / "killed" / FILE
-        return path.read_bytes().count(b'"state": "done"') if path.exists() else 0
-
-    assert begun("undisturbed", "whole.npy").wait() == 0
-    run = begun("killed", "resumed.npy")
-    while run.poll() is None and results() < 2:
-        pass
-    run.kill()
-    assert run.wait() == -signal.SIGKILL
-    assert begun("killed", "resumed.npy").wait() == 0
-    whole, resumed = np.load(tmp_path / "whole.npy"), np.load(tmp_path / "resumed.npy")
-    assert whole.tobytes() == resumed.tobytes()
 
 
 PLACE: list[str] = []

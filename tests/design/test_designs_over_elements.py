@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import optimize, stats
 
 import aleator as al
 from bouncing import Ball
@@ -17,38 +16,6 @@ class Kinked(al.AlgebraicSystem):
 
     def outputs(self):
         return {"larger": jnp.maximum(self.first, self.second) - self.away, "off": jnp.abs(self.first - self.away)}
-
-
-def clark(first, second):
-    """Mean and variance of the larger of two independent normal numbers (Clark, 1961), and its quantiles."""
-    (m1, s1), (m2, s2) = first, second
-    spread = np.hypot(s1, s2)
-    ratio = (m1 - m2) / spread
-    below, above, density = stats.norm.cdf(ratio), stats.norm.cdf(-ratio), stats.norm.pdf(ratio)
-    mean = m1 * below + m2 * above + spread * density
-    square = (m1**2 + s1**2) * below + (m2**2 + s2**2) * above + (m1 + m2) * spread * density
-
-    def quantile(level):
-        return optimize.brentq(lambda x: stats.norm.cdf(x, *first) * stats.norm.cdf(x, *second) - level, -5.0, 5.0)
-
-    return mean, square - mean**2, quantile
-
-
-@pytest.mark.slow
-def test_the_larger_of_two_gaps_has_clarks_moments_and_its_quantile():
-    larger = al.output("larger")
-    problem = al.Problem(
-        Kinked(al.Normal(0.3, 0.1), al.Normal(0.25, 0.15), al.Decision(0.1, -1.0, 1.0)),
-        minimize=larger.mean,
-        subject_to=[larger.quantile(0.95) >= 0.2, larger.std <= 1.0],
-        expansion=al.MultiElement(3, error=1e-2),
-    )
-    solution = al.solve(problem)
-    mean, variance, quantile = clark((0.3, 0.1), (0.25, 0.15))
-    away = float(solution.decisions["away"])
-    assert away == pytest.approx(quantile(0.95) - 0.2, abs=1e-4)
-    assert solution.objective + away == pytest.approx(mean, abs=1e-4)
-    assert solution.constraints[1].values[0] == pytest.approx(np.sqrt(variance), abs=1e-4)
 
 
 def test_elements_are_divided_where_the_kink_is_at_the_answer():
