@@ -57,10 +57,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return run
 
 
-@pytest.mark.parametrize(
-    "document",
-    ["README.md", *(pytest.param(one, marks=pytest.mark.slow) for one in [*DOCUMENTS, *TUTORIALS])],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("document", ["README.md", *DOCUMENTS, *TUTORIALS])
 def test_code_shown_in_documents_runs(document: str, run):
     run(document)
 

@@ -165,6 +165,7 @@ def test_the_least_damping_for_all_stiffnesses_is_that_of_a_brute_search():
 # --- Expansions ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sum_of_an_interval_and_a_normal_number_has_the_probability_box_of_two_normal_distributions():
     box = al.expand(lambda one: one["a"] + one["z"], {"a": al.Interval(-1.0, 2.0), "z": al.Normal(0.0, 1.0)})
     values = np.linspace(-3.0, 4.0, 15)

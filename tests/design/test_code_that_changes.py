@@ -57,13 +57,6 @@ def test_designs_and_evidence_are_of_the_equations_that_were_declared():
         change(1.0)
 
 
-def test_sweeps_do_not_mix_two_states_of_the_code():
-    one, change = through_global()
-    front = al.pareto(one, "x", [50.0, 60.0], progress=lambda what, done, total: change(3.0))
-    change(1.0)
-    assert [point.decisions["a.mean"] for point in front.solutions] == pytest.approx([1.0, 1.0], abs=1e-6)
-
-
 WEIGHT = 1.0
 
 

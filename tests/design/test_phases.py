@@ -86,6 +86,7 @@ def staged():
     )
 
 
+@pytest.mark.slow
 def test_two_stages_end_where_scipy_ends_them_one_after_the_other():
     found = staged()
     assert found.ok, found
@@ -100,6 +101,7 @@ def test_two_stages_end_where_scipy_ends_them_one_after_the_other():
         assert (own, speed) == pytest.approx((second[0], first[1]), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_burn_is_the_least_that_reaches_the_height_with_a_margin():
     nodes, weights = np.polynomial.legendre.leggauss(8)
 
@@ -116,6 +118,7 @@ def test_the_burn_is_the_least_that_reaches_the_height_with_a_margin():
     assert found.statistics["μ[t_first.burnout]"] == pytest.approx(5.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_instants_of_phases_stand_one_after_the_other():
     found = staged()
     burn = found.decisions["second.t_final"]
@@ -196,6 +199,7 @@ class Swinging(al.System):
         return {"v": z.v}
 
 
+@pytest.mark.slow
 def test_a_phase_begins_at_the_event_of_both_directions_that_ended_the_one_before():
     swing = al.Phase(Swinging(), al.Grid(until="middle", at_most=4.0, steps=100))
     history = al.simulate(al.Phases(there=swing, back=swing))

@@ -172,6 +172,7 @@ def test_a_problem_that_does_not_fit_its_kind_of_system_is_refused(declare, mess
         declare()
 
 
+@pytest.mark.slow
 def test_the_tolerance_of_an_assembly_is_that_of_its_closed_form():
     """The one-way clutch (dissertation, section 5.6): how wide the tolerance of the hub may be."""
     clutch = al.Assembly(

@@ -62,16 +62,6 @@ def test_there_is_no_design_to_build_where_the_interval_reaches_beyond_the_targe
     assert (said.level, said.word) == ("caution", "Do not build yet")
 
 
-def test_limits_that_were_given_no_margin_count_as_well(margin, printed, counted):
-    samples = margin.evidence.samples
-    broken = dict.fromkeys(margin.evidence.broken, np.arange(samples) < round(2 * TARGET * samples))
-    other = replace(margin, evidence=replace(margin.evidence, broken=broken))
-    assert other.confirmed
-    said = to_build(other, printed, counted, **SAID)
-    assert (said.level, said.word) == ("caution", "Do not build yet")
-    assert "2.00" in dict(said.rows)["Limits broken"]
-
-
 def test_what_compares_with_printed_numbers_follows_from_the_numbers():
     for ours, told in (
         ({"a": 10.0, "b": 12.1, "c": 14.8}, "signs, order and sizes agree:"),

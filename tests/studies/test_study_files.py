@@ -111,6 +111,7 @@ def loaded(text: str) -> Study:
 # --- In Python -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_declared_study_sweeps_and_trades_off(here: Path):
     (here / "bar.py").write_text(SWEPT)
     code, said = aleator("run", "bar.py")

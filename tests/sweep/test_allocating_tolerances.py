@@ -18,6 +18,7 @@ FEATURES = {"gap": "housing - 3*plate - shim"}
 COSTS = {name: (FIXED, slope) for name, slope in SLOPES.items()}
 
 
+@pytest.mark.slow
 def test_half_widths_of_a_linear_stack_are_those_of_lagrange():
     """Costs `a + b / h` under a limit on `sum (s h)²` or on `sum |s| h`."""
     found = al.allocate(stack(), COSTS, "gap", lower=0.1, upper=0.7, cpk=1.2)
