@@ -28,6 +28,7 @@ Y, PATH = al.rms("y"), al.path("y")
         (Y.mean <= al.value("k.std"), (-np.inf, 0.0), "y, k.std", "μ[rms(y)] − k.std ≤ 0"),
         (PATH.at_most(1, sigmas=1.5), (-np.inf, 1.0), "y", "μ[y(t)] + 1.5 σ[y(t)] ≤ 1 for all t"),
         (PATH.within(-1, 2, sigmas=1)[0], (-np.inf, 2.0), "y", "μ[y(t)] + σ[y(t)] ≤ 2 for all t"),
+        (Y.at_least(-2, probability=0.99), (-2.0, np.inf), "y", "Q0.01[rms(y)] ≥ -2"),
         (PATH.within(-1, 2, sigmas=1)[1], (-1.0, np.inf), "y", "μ[y(t)] − σ[y(t)] ≥ -1 for all t"),
         (al.Constraint(Y.mean, lower=0, upper=1, name="both"), (0.0, 1.0), "both", "0 ≤ μ[rms(y)] ≤ 1"),
     ],

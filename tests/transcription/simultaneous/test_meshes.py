@@ -90,7 +90,6 @@ def test_intervals_are_divided_at_a_kink_and_nowhere_else():
     assert solution.mesh_states["w"][0, -1] == pytest.approx((kink**2 + (end - kink) ** 2) / 2, rel=20 * ASKED)
 
 
-@pytest.mark.slow
 def test_a_mesh_that_does_not_converge_is_told_with_its_place(monkeypatch):
     monkeypatch.setattr("aleator.transcription.simultaneous._transcribed._MOST_MESHES", 2)
     with pytest.warns(al.GridWarning, match=r"mesh does not reach .* from t = .* where 1e-09 is asked"):
