@@ -20,7 +20,6 @@ import aleator
 import aleator_command
 from aleator import cli, studies  # noqa: F401  the commands are imported before a fork
 from aleator.cli import _interruption as interruption
-from aleator.cli._terminal import Terminal
 from aleator.reporting import Table, Verdict
 from aleator.studies import AbstractStudy, Draft
 
@@ -48,8 +47,6 @@ def watch_the_end(at: Callable[[str], object]) -> None:
     """Come to the moments after the chapter as well."""
     for owner, name, moment in (
         (Draft, "save", "while results are saved"),
-        (Draft, "write", "while the page is written"),
-        (Terminal, "table", "while the tables are printed"),
         (Draft, "headline", "at the last word"),
     ):
         setattr(owner, name, partialmethod(_then, getattr(owner, name), partial(at, moment)))

@@ -1,14 +1,11 @@
 """The command line: how it exits, what it keeps and what it prints."""
 
-import io
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 import aleator as al
 from aleator import cli, studies
-from aleator.cli._terminal import fitted, shown
 from aleator.reporting import Table, Verdict
 from aleator.studies import Draft
 from command_line import aleator, said
@@ -80,30 +77,6 @@ def test_text_in_square_brackets_is_printed_as_it_is(run, monkeypatch, tmp_path:
         assert text in told
     failed = run(stopped(al.SolveError(f"message {BRACKETS}")), "--out", BRACKETS)
     assert f"message {BRACKETS}" in failed.output
-
-
-def test_progress_is_few_lines_where_it_cannot_overwrite_itself():
-    console = Console(file=io.StringIO(), width=80)
-    with shown(console, 1.0) as progress:
-        progress.begin("front")
-        for done in range(51):
-            progress.show(f"point {done}", done, 50)
-        progress.end("front", "1.0 s")
-    first, last, end = console.file.getvalue().splitlines()
-    assert first.startswith("  point 1, 1 of 50, about ")
-    assert (last, end) == ("  point 50, 50 of 50", "front: 1.0 s")
-
-
-@pytest.mark.parametrize("width", [40, 60, 200])
-def test_a_table_fits_its_terminal_and_cuts_no_number(width: int):
-    numbers = [f"{10**5 * i + 12345.678 * i:.6g}\u202fN/mm" for i in range(1, 9)]
-    table = Table("Widths", ["", *map(str, range(8))], [["a row of some words", *numbers]], "a note")
-    console = Console(file=io.StringIO(), width=width)
-    for block in fitted(table, width):
-        console.print(block)
-    printed = console.file.getvalue()
-    assert max(map(len, printed.splitlines())) <= width
-    assert all(number in printed for number in numbers)
 
 
 def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, monkeypatch, tmp_path: Path):

@@ -1,7 +1,6 @@
 """The commands that compute: run, resume, sweep and validate; what they say, keep and take from an earlier run."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,9 +10,8 @@ import pytest
 
 import aleator as al
 from aleator.cli._folder import Record
-from aleator.journalling import FILE
 from aleator.studies import load
-from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document, said
+from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document
 from command_line import finished as finished
 from command_line import here as here
 from command_line import interrupted_at as interrupted_at
@@ -112,28 +110,6 @@ def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_f
     assert set(states("there").values()) == {"done"}
 
 
-def test_a_front_is_printed_kept_and_written_as_a_page_and_its_points_are_recalled(here: Path):
-    result = aleator(*SWEEP, "--values", "0.5,0.04,0.5", "--design", "robust")
-    assert result.exit_code == 0, result.output
-    told = said(result)
-    assert f"stress = 0.5, objective {NEEDED / 0.5:.6g}, feasible, 1 of 2, about" in told, "each bound counts once"
-    assert "stress = 0.04, infeasible, violation" in told
-    assert "Partly solved: 1 of 2 points over stress are solved" in told
-    assert "recalled" not in told
-    folder = here / "results/bar-over-stress"
-    assert (folder / FILE).is_file()
-    assert "Bar: robust over stress" in (folder / "report.html").read_text()
-    more = said(aleator(*SWEEP, "--values", "0.6,0.5", "--design", "robust"))
-    assert re.search(r"front over stress: [\d.]+ s, 1 of 2 recalled", more)
-    assert "1 result was taken from an earlier run; --afresh computes anew" in more
-    assert "front over stress: recalled from an earlier run" in said(aleator("resume", str(folder)))
-    afresh = document(aleator(*SWEEP, "--values", "0.6", "--design", "robust", "--afresh", "--json"))
-    assert afresh["recalled"] == 0
-    none = aleator(*SWEEP, "--values", "0.01", "--json", "--out", "none")
-    assert none.exit_code == 1, none.output
-    assert "No point over stress is solved" in document(none)["verdict"]
-
-
 # --- Validate --------------------------------------------------------------------------------------------------------
 
 
@@ -149,18 +125,6 @@ def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, no
     assert not designs["robust"]["solved_anew"]
     assert designs["nominal"]["status"].startswith("solved"), "however often its limit breaks"
     assert document(aleator(*arguments))["designs"] == designs
-
-
-@pytest.mark.filterwarnings("always::aleator._core.errors.JournalWarning")
-def test_designs_that_are_not_there_are_solved_before_they_are_sampled(here: Path, finished: Path):
-    arguments = ("--samples", "200", "--design", "robust", "--json")
-    told = document(aleator("validate", "bar.py", *arguments))["designs"]
-    assert list(told) == ["robust"]
-    assert told["robust"]["solved_anew"]
-    assert states("results/bar")["robust"] == "done"
-    (lost,) = (entry.file for entry in al.load("results").entries if entry.name == "designs/robust")
-    (finished / lost).unlink()
-    assert document(aleator("validate", "results", *arguments))["designs"]["robust"]["solved_anew"]
 
 
 def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, finished: Path, interrupted_at):

@@ -78,23 +78,6 @@ def test_what_stops_a_gradient_solver_is_named_with_its_decision_in_objective_an
     assert ("switching time" in str(told)) == (what.split()[0] != "kink")
 
 
-STEEP = {
-    "strong curvature": (lambda a, b: jnp.sqrt((a - 0.5) ** 2 + 1e-4) + b**4 * 1e3, 0.5),
-    "a logarithm near zero": (lambda a, b: jnp.log(a) + b, 1e-12),
-    "a switch": (lambda a, b: jnp.tanh(1e6 * (a - 0.5)) + b, 0.5),
-    "a pole": (lambda a, b: 1.0 / (a - 0.4999) + b, 0.5),
-    "a fast wave": (lambda a, b: jnp.sin(1e6 * a) + b, 0.5),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", STEEP)
-def test_what_is_merely_steep_is_not_accused(what):
-    rule, start = STEEP[what]
-    found = al.examine(of(rule, a=al.Decision(start, -2.0, 2.0)))
-    assert [found.kinks, found.jumps, found.wrong] == [()] * 3
-
-
 def test_a_smooth_problem_has_nothing_to_tell_and_at_a_bound_one_side_is_enough():
     found = al.examine(of(lambda a, b: a**2 + jnp.sin(b), Z, b=al.Decision(0.5, -2.0, 2.0)))
     assert found.ok
@@ -105,15 +88,6 @@ def test_a_smooth_problem_has_nothing_to_tell_and_at_a_bound_one_side_is_enough(
     at_bound = {"a": al.Decision(-2.0, -2.0, 2.0), "b": al.Decision(2.0, -2.0, 2.0)}
     assert al.examine(of(lambda a, b: a**2 + jnp.exp(b), **at_bound)).ok
     assert al.examine(al.Problem(fault("wrong", -2.0, 2.0), minimize=al.output("y").mean)).wrong
-
-
-@pytest.mark.slow
-def test_scales_far_from_those_of_others_are_told():
-    three = of(lambda a, b: 1e-9 * a + b, Z, a=al.Decision(1e-3, -2e-3, 2e-3))
-    assert al.examine(three).unfit == ()  # In its limit, the decision acts as others do.
-    (sentence,) = al.examine(of(lambda a, b: 1e-9 * a + b)).unfit
-    assert sentence.startswith("the decision a")
-    assert al.examine(of(lambda a, b: b)).unfit == ("the decision a has no effect here",)
 
 
 def test_a_solve_can_be_examined_with_the_history_of_every_point_that_was_evaluated():

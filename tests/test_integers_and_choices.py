@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.solving import _integers
-from zoo import HALF_WIDTH, MASS, STRESS, Bar, algebraic, cases
+from zoo import HALF_WIDTH, MASS, STRESS, Bar, algebraic
 
 
 class Pack(al.AlgebraicSystem):
@@ -37,8 +37,8 @@ def cost_of(a, b, more=0.0):
     return 3.0 * a + 2.0 * b + 20.0 * (more - 0.3) ** 2
 
 
-@pytest.mark.parametrize("need", cases([13.3, 47.9, 99.2, 111.0]))
-def test_integers_beside_a_number_are_those_of_enumeration(need):
+def test_integers_beside_a_number_are_those_of_enumeration():
+    need = 13.3
     problem = pack_problem(al.Integer(3, 1, 12), al.Integer(3, 1, 10), al.Decision(0.1, 0.0, 1.0), need)
     solution = al.solve(problem)
     # The number rises from 0.3 where the product alone is too small.
@@ -71,9 +71,8 @@ def test_few_combinations_are_all_solved_and_that_is_proven_where_nothing_else_i
     assert "each to a local optimum" in str(beside)
 
 
-@pytest.mark.parametrize("seed", cases(range(6)))
-def test_a_row_of_a_long_table_is_that_of_enumeration(seed):
-    rows = np.random.default_rng(seed).uniform(1.0, 9.0, (200, 2))
+def test_a_row_of_a_long_table_is_that_of_enumeration():
+    rows = np.random.default_rng(0).uniform(1.0, 9.0, (200, 2))
     columns = al.Choice.table("part", {"a": rows[:, 0], "b": rows[:, 1]})
     front = al.Choice([3.0, 4.0])
     solution = al.solve(pack_problem(columns["a"], columns["b"], front, need=35.0))
@@ -89,17 +88,6 @@ def test_a_robust_design_with_an_integer_is_the_next_one_that_is_strong_enough()
     assert solution.decisions["width"] == np.ceil((10.0 + 3.0 * HALF_WIDTH / np.sqrt(3.0)) / 0.5)
     assert solution.at_bounds == ()
     assert al.solve(solution.problem, warm_start=solution).decisions == solution.decisions
-
-
-@pytest.mark.slow
-def test_an_integer_may_be_a_parameter_of_a_distribution():
-    load = al.Uniform(10.0, half_width=al.Integer(2, 1, 5))
-    strong = (STRESS.mean + 3 * STRESS.std <= 0.5).named("stress")
-    wish = MASS.mean - 4.0 * al.value("load.half_width")
-    solution = al.solve(al.Problem(Bar(al.Decision(30.0, 0.1, 100.0), load), minimize=wish, subject_to=[strong]))
-    # A half-width of 1 more needs a bar that is 2 √3 wider: less than 4.
-    assert solution.decisions["load.half_width"] == 5.0
-    assert solution.objective == pytest.approx((10.0 + 5.0 * np.sqrt(3.0)) / 0.5 - 20.0)
 
 
 def test_what_no_combination_can_meet_is_said():
@@ -168,15 +156,12 @@ def test_a_search_that_is_not_finished_tells_its_gap(monkeypatch):
     ("declare", "message"),
     [
         (lambda: al.Integer(3), "between finite bounds; received -inf"),
-        (lambda: al.Integer(3, 1), "between finite bounds; received inf"),
         (lambda: al.Integer(3.5, 1, 9), "initial: expected a whole number"),
         (lambda: al.Integer(3, 5, 9), "lower <= initial <= upper; received 5 <= 3 <= 9"),
         (lambda: al.Integer(3, 1, 10**9), "at most 100000 values"),
         (lambda: al.Choice([]), "a list of numbers"),
-        (lambda: al.Choice([1.0, np.nan]), "nan at entry 1"),
         (lambda: al.Choice([1.0, 2.0], 2), "an index of its values, 0 to 1; received 2"),
         (lambda: al.Choice.table("part", {"a": [1.0, 2.0], "b": [1.0]}), "lists of one length"),
-        (lambda: al.Choice.table("part", [1.0]), "lists of numbers by name"),  # pyright: ignore[reportArgumentType]
         (
             lambda: pack_problem(*[al.Choice.table("part", {"a": [1.0, 2.0]})["a"]] * 2),
             "'a' of the table 'part' stands",

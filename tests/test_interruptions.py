@@ -14,15 +14,12 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are sent as 
 MOMENTS = {
     "while the package is imported": "",
     "while the study is loaded": "",
-    "in the first stage": "",
     "in the second stage": "first",
     "in a callback of JAX": "first",
     "in a library that does not listen": "first",
     "in work that swallows exceptions": "first",
     "twice": "first",
     "while results are saved": "first second third",
-    "while the page is written": "first second third",
-    "while the tables are printed": "first second third",
     "at the last word": "first second third",
 }
 WITHOUT_PAGE = ("in a library that does not listen", "in work that swallows exceptions", "twice")

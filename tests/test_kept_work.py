@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -30,11 +29,6 @@ def widths(least: float, count: int, progress) -> list[float]:
     """A list, as a plain result; each call is reported."""
     progress("widths", 0, 1)
     return [least + STEP * i for i in range(count)]
-
-
-def other_widths(least: float, count: int, progress) -> list[float]:
-    progress("widths", 0, 1)
-    return [least - STEP * i for i in range(count)]
 
 
 def test_two_functions_of_one_line_are_two():
@@ -93,35 +87,12 @@ def test_work_is_done_once_for_the_same_code_and_numbers_however_they_are_given(
     assert calls == ["widths"]
 
 
-def test_other_numbers_names_and_functions_are_other_work(work, calls):
-    assert work(1.0, 2) == [1.0, 2.0]
-    assert work(1.5, 2) == [1.5, 2.5]
-    assert work(1.0, 2, name="again") == [1.0, 2.0]
-    assert work(1.0, 2, function=other_widths) == [1.0, 0.0]
-    assert len(calls) == 4
-
-
 def test_code_that_changed_is_told_and_the_work_done_again(work, calls, monkeypatch):
     work(1.0, 2)
     monkeypatch.setattr(f"{__name__}.STEP", 0.5)
     with pytest.warns(al.JournalWarning, match="the model's code has changed since"):
         assert work(1.0, 2) == [1.0, 1.5]
     assert len(calls) == 2
-
-
-WEIGHTS = jax.device_put(np.array([1.0, 2.0]))
-
-
-def weighted(count: int, progress) -> float:
-    progress("weights", 0, 1)
-    return float(sum(weight * count for weight in [*WEIGHTS]))
-
-
-def test_numbers_of_arrays_that_the_function_names_are_part_of_the_work(work, monkeypatch):
-    assert work(1, function=weighted) == 3.0
-    monkeypatch.setattr(f"{__name__}.WEIGHTS", jnp.array([1.0, 4.0]))
-    with pytest.warns(al.JournalWarning, match="the model's code has changed since"):
-        assert work(1, function=weighted) == 5.0
 
 
 def test_what_another_run_could_not_recognise_or_read_is_not_kept_and_said(work, calls, tmp_path):
@@ -171,10 +142,6 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
 MODEL = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
 
 
-def called(model):
-    return {"sum": model["off"] + model["more"]}
-
-
 @functools.cache
 def solution() -> al.Solution:
     return al.solve(gain_problem())
@@ -188,7 +155,6 @@ def by_executor(**how):
 ENDED = {
     "a sample": lambda **how: al.references.monte_carlo(scattered, MODEL, 2048, batch=100, **how).values,
     "a net by an executor": lambda **how: by_executor(**how).values,
-    "a called function": lambda **how: al.references.monte_carlo(called, MODEL, 256, traced=False, **how).values,
     "evidence": lambda **how: [
         (one.mean, one.std, one.std_error)
         for one in al.validate(solution(), 3000, batch=100, **how).functionals.values()

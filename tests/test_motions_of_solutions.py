@@ -85,6 +85,7 @@ def test_a_signal_of_a_solution_drives_another_simulation():
     np.testing.assert_allclose(np.asarray(places)[[0, 2]], [0.0, 1.0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_random_systems_at_a_design_have_its_spread():
     solution = al.solve(al.deterministic(problem()))
     systems = al.simulate_systems(solution, 4000, seed=2)
@@ -95,47 +96,3 @@ def test_random_systems_at_a_design_have_its_spread():
     assert float(x["mean"][-1]) == pytest.approx(MEAN, abs=5 * SPREAD / math.sqrt(4000))
     assert float(x["std"][-1]) == pytest.approx(SPREAD, rel=5 / math.sqrt(8000))
     assert solution.outputs["x"].sizes["system"] == 1
-
-
-@pytest.mark.slow
-def test_an_algebraic_system_has_outputs_without_time():
-    class Gap(al.AlgebraicSystem):
-        a: al.Number
-        b: al.Number
-
-        def outputs(self):
-            return {"gap": self.a - self.b}
-
-    gap = Gap(al.Normal(al.Decision(3.0, 0.0, 4.0), 0.3), al.Normal(1.0, 0.4))
-    solution = al.solve(al.Problem(gap, minimize=al.output("gap").mean, subject_to=[al.output("gap").at_least(0.5)]))
-    found = solution.outputs["gap"]
-    assert float(found["mean"]) == pytest.approx(0.5)
-    assert float(found["std"]) == pytest.approx(0.5)
-    assert found.systems.dims == ("system",)
-    with pytest.raises(al.ProblemError, match=r"solution\.signal: name: expected one of the inputs and outputs \[\]"):
-        solution.signal("gap")
-
-
-def test_what_is_not_there_is_refused_with_what_is():
-    solution = al.solve(problem(m=1.0))
-    with pytest.raises(al.ProblemError, match=r"outputs: expected one of \['momentum', 'x'\]; received 'speed'"):
-        solution.outputs["speed"]
-    with pytest.raises(al.ProblemError, match=r"expected one of the inputs and outputs \['force', 'momentum', 'x'\]"):
-        solution.signal("v")
-    with pytest.raises(al.ProblemError, match="simulate_systems: solution: expected Solution"):
-        al.simulate_systems(solution.problem)
-    with pytest.raises(al.ProblemError, match="would need"):
-        al.simulate_systems(al.solve(problem()), 10**12)
-
-
-def test_inputs_are_drawn_over_time_and_first_on_a_report(tmp_path):
-    solution = al.solve(problem())
-    figure = solution.plot.input()
-    (mean,) = (trace for trace in figure.data if trace.mode == "lines" and trace.name == "force")
-    values = np.interp(np.linspace(0.0, 1.0, 21), np.linspace(0, 1, 5), solution.decisions["inputs.force.values"])
-    np.testing.assert_allclose(np.array(mean.y), values, rtol=1e-3, atol=1e-3)
-    assert figure.layout.yaxis.title.text == "force (N)"
-    page = al.report(solution, path=tmp_path / "report.html").read_text(encoding="utf-8")
-    assert page.index("Inputs of design") < page.rindex("Certificate")
-    with pytest.raises(al.ProblemError, match=r"plot\.input: expected one of"):
-        solution.plot.input("torque")

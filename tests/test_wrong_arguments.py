@@ -295,34 +295,6 @@ def test_every_public_callable_is_asked():
 
 # --- The validators at the border ------------------------------------------------------------------------------------
 
-MASKED = np.ma.masked_array([1.0, 2.0], [False, True])
-
-
-@pytest.mark.parametrize(
-    ("check", "right", "wrong"),
-    [
-        (border.real, [1, 2.5, np.float32(3), np.array(4.0)], [True, "1", 1j, None, math.inf, math.nan, [1.0], {}]),
-        (border.positive, [1, 1e-9, np.array(2.0)], [0, -1.0, math.inf, math.nan, "1", True]),
-        (functools.partial(border.positive, below=1.0), [0.5], [1.0, 2.0]),
-        (functools.partial(border.positive, most=1.0), [0.5, 1.0], [1.5]),
-        (border.whole, [1, np.int64(3), np.uint8(2)], [0, -1, 1.0, True, "1", None, math.nan, [1]]),
-        (functools.partial(border.whole, least=0), [0], [-1]),
-        (border.a_name, ["x"], ["", None, 3, b"x", ["x"]]),
-        (functools.partial(border.one_of, kinds=(int, str)), [1, "x"], [None, 2.5]),
-        (functools.partial(border.members, kinds=str), [["x"], (), ["a", "b"]], ["x", b"x", 3, [1], {"a": 1}, None]),
-        (border.real_array, [[1.0, 2.0], 3, np.zeros(0)], ["x", [1, "x"], [True], [1j], MASKED, None, [[1.0], [1, 2]]]),
-        (border.traceable, [1.0, [1.0, 2.0]], [1j, "x", MASKED, None]),
-        (border.refuse_missing, [1.0, np.ones(2)], [math.nan, MASKED, np.array([0.0, math.nan])]),
-    ],
-)
-def test_a_validator_passes_what_is_right_and_refuses_all_else_by_name(check, right, wrong):
-    for value in right:
-        check("the number of steps", value)
-    for value in wrong:
-        with pytest.raises(al.ProblemError) as caught:
-            check("the number of steps", value)
-        assert "the number of steps" in str(caught.value)
-
 
 def test_a_checked_number_is_stored_as_a_plain_one():
     for value in (np.float64(0.5), np.float32(0.5), np.array(0.5)):
@@ -401,18 +373,14 @@ def algebraic(**methods: Any) -> al.AlgebraicSystem:
 BODIES: dict[str, tuple[Callable[[Any], Any], tuple[str, ...]]] = {
     "np.sin": (np.sin, ("jnp",)),
     "float": (float, ("jnp", "float")),
-    "item": (lambda x: x.item(), ("jnp", "item")),
     "if": (lambda x: 1.0 if x > 0 else x, ("jnp.where",)),
-    "max": (lambda x: max(x, 0.0), ("jnp",)),
     "range": (lambda x: sum(range(x)), ("Odd",)),
     "wrong name": (lambda x: x.nobody, ("nobody",)),
     "text": (lambda x: "fast", ("fast", "str")),
     "nothing": (lambda x: None, ("None",)),
-    "complex": (lambda x: x * 1j, ("complex",)),
     "masked": (lambda x: np.ma.masked, ("masked", "Masked")),
     "division by zero": (lambda x: x * (1 / 0), ("zero",)),
     "shape": (lambda x: x * np.ones(2), ("(2,)", "received 2")),
-    "function": (lambda x: math.sin, ("sin", "builtin_function_or_method")),
 }
 
 
@@ -432,9 +400,7 @@ def test_a_method_that_jax_cannot_trace_is_refused_with_what_to_write(name):
 METHODS: dict[str, tuple[dict[str, Any], str]] = {
     "states: nothing": ({"states": None}, "None"),
     "states: text": ({"states": "x"}, "'x'"),
-    "states: twice": ({"states": ("x", "x"), "rhs": lambda self, t, z: (1.0, 1.0)}, "x"),
     "states: keyword": ({"states": ("class",)}, "class"),
-    "states: underscore": ({"states": ("_x",)}, "_x"),
     "algebraic: a state": ({"algebraic": ("x",)}, "x"),
     "rhs: too many rates": ({"rhs": lambda self, t, z: (z.x, z.x)}, "2"),
     "rhs: no tuple": ({"rhs": lambda self, t, z: -z.x}, "rhs"),
@@ -442,19 +408,15 @@ METHODS: dict[str, tuple[dict[str, Any], str]] = {
     "rhs: an input without a signal": ({"rhs": lambda self, t, z, force: (force,)}, "force"),
     "outputs: no dict": ({"outputs": lambda self, t, z: z.x}, "outputs"),
     "outputs: named by a number": ({"outputs": lambda self, t, z: {1: z.x}}, "1"),
-    "outputs: of no entries": ({"outputs": lambda self, t, z: {"x": np.zeros(0)}}, "(0,)"),
     "initial: unknown": ({"initial": lambda self: {"nobody": 1.0}}, "nobody"),
-    "initial: text": ({"initial": lambda self: {"x": "fast"}}, "fast"),
-    "initial: no dict": ({"initial": lambda self: 3.0}, "3.0"),
     "initial: nan": ({"initial": lambda self: {"x": math.nan}}, "nan"),
-    "initial: complex": ({"initial": lambda self: {"x": 1j}}, "1j"),
 }
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_a_system_that_is_written_wrongly_is_refused_by_the_place(name):
     methods, word = METHODS[name]
-    refuses(lambda: al.simulate(system(**methods), al.Grid(1.0, 1)), word, "complex" if word == "1j" else word)
+    refuses(lambda: al.simulate(system(**methods), al.Grid(1.0, 1)), word)
 
 
 def test_a_missing_number_of_a_model_is_refused_where_it_stands():

@@ -48,8 +48,3 @@ def test_elements_follow_three_modes_for_long():
         assert expanded[name].std ** 2 == pytest.approx(variances, abs=1e-3)
     for name, means in MEANS.items():
         assert expanded[name].mean == pytest.approx(means, abs=1e-3)
-
-
-def test_a_single_expansion_of_three_modes_warns_by_the_time_at_which_it_fails():
-    with pytest.warns(al.ExpansionWarning, match="does not resolve y1"):
-        al.expand(lambda at: modes(at, AT[1]), START, al.Expansion(order=5))

@@ -27,22 +27,17 @@ class Turnpike(al.System):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("first", "right"),
-    [(1.0, 3 / 8), (al.Uniform.bounds(0.9, 1.1), 3 / 8 + 2 * 0.2**2 / 12)],
-    ids=["certain", "spread"],
-)
 @pytest.mark.parametrize("way", [al.Sequential(second_derivatives=True), al.Simultaneous()], ids=["shot", "collocated"])
-def test_the_turnpike_runs_along_zero(first, right, way):
+def test_the_turnpike_runs_along_zero(way):
     problem = al.Problem(
-        Turnpike(first),
+        Turnpike(al.Uniform.bounds(0.9, 1.1)),
         grid=al.Grid(2.0, 40),
         inputs={"u": al.Control(0.0, -1.0, 1.0)},
         minimize=al.integral("square").mean,
         subject_to=[al.terminal("x").mean.equals(0.5)],
     )
     solution = al.solve(problem, transcription=way)
-    assert solution.objective == pytest.approx(right, abs=1e-4)
+    assert solution.objective == pytest.approx(3 / 8 + 2 * 0.2**2 / 12, abs=1e-4)
     control = np.repeat([-1.0, 0.0, 1.0], [20, 10, 10])
     assert solution.decisions["inputs.u"] == pytest.approx(control, abs=0.02)
     if solution.costates is not None:
@@ -64,13 +59,12 @@ class Reactor(al.System):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("length", "right"), [(1.0, -0.0480556), (4.0, -0.1918141)], ids=["short", "long"])
-def test_catalysts_are_mixed(length, right):
+def test_catalysts_are_mixed():
     problem = al.Problem(
         Reactor(),
-        grid=al.Grid(length, 60),
+        grid=al.Grid(4.0, 60),
         inputs={"u": al.Control(0.5, 0.0, 1.0)},
         minimize=al.terminal("product").mean,
     )
     solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3)))
-    assert solution.objective == pytest.approx(right, abs=1e-5)
+    assert solution.objective == pytest.approx(-0.1918141, abs=1e-5)

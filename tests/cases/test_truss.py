@@ -72,15 +72,3 @@ def test_samples_of_a_truss_end_though_two_batches_at_once_would_wait_for_each_o
     assert abs(sample.mean.value - 0.07940062219) < 3 * sample.mean.standard_error
     found = sample.probability(above=0.1)
     assert abs(found.value - ABOVE[0.1][0]) < 3 * found.standard_error
-
-
-@pytest.mark.parametrize("level", [0.14, 0.16])
-def test_rare_deflections_of_a_truss_are_sampled(level):
-    problem = al.Problem(
-        truss(**TRUSS, camber=al.Decision(0.0, 0.0, 0.01)),
-        minimize=al.value("camber"),
-        subject_to=[al.output("deflection").at_most(level)],
-    )
-    share = al.rare_violation(al.solve(problem))
-    assert share.estimate == pytest.approx(ABOVE[level][0], rel=0.2)
-    assert 0.99 * share.lower < ABOVE[level][0] < 1.01 * share.upper  # known to two digits

@@ -1,6 +1,5 @@
 """Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ import scipy.stats
 from scipy import stats
 
 import aleator as al
-from aleator.studies.suspension import RIDE, nominal, road
 from zoo import algebraic, cases
 
 U = stats.norm.ppf
@@ -19,7 +17,7 @@ RESPONSES = {
     "square of a reciprocal": (lambda u, v: 1 / (1 + 0.1 * u) ** 2, lambda p: 1 / (1 - 0.1 * U(p)) ** 2),
     "squares": (lambda u, v: u**2 + v**2, lambda p: -2 * np.log(1 - p)),
     # Bessel's K0 is the density of a product: the distribution function by SciPy's quadrature, inverted.
-    "product": (lambda u, v: 4 + u * v, {0.9: 5.0344, 0.99: 6.9838, 0.9999: 11.2278}.get),
+    "product": (lambda u, v: 4 + u * v, {0.9999: 11.2278}.get),
 }
 
 
@@ -39,15 +37,16 @@ def largest(response, limit, order, *, least=False):
     return al.solve(problem, throw=False)
 
 
-SLOW = [(response, level, order) for response in RESPONSES for level in (0.9, 0.9999) for order in (2, 4)]
+LEVEL = 0.9999
+SLOW = [(response, order) for response in RESPONSES for order in (2, 4) if order == 4 or response == "squares"]
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
-@pytest.mark.parametrize(("response", "level", "order"), SLOW)
-def test_a_limit_on_a_quantile_is_at_its_optimum_or_not_ok(response, level, order):
-    solution = largest(response, al.output("y").at_most(10.0, probability=level), order)
-    exact = 10 / RESPONSES[response][1](level)
+@pytest.mark.parametrize(("response", "order"), SLOW)
+def test_a_limit_on_a_quantile_is_at_its_optimum_or_not_ok(response, order):
+    solution = largest(response, al.output("y").at_most(10.0, probability=LEVEL), order)
+    exact = 10 / RESPONSES[response][1](LEVEL)
     assert not solution.ok or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
     if response in ("squares", "product"):
         assert solution.ok
@@ -55,11 +54,11 @@ def test_a_limit_on_a_quantile_is_at_its_optimum_or_not_ok(response, level, orde
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
-@pytest.mark.parametrize(("response", "level", "order"), SLOW)
-def test_a_limit_on_a_low_quantile_is_at_its_optimum_or_not_ok(response, level, order):
+@pytest.mark.parametrize(("response", "order"), SLOW)
+def test_a_limit_on_a_low_quantile_is_at_its_optimum_or_not_ok(response, order):
     function, of = RESPONSES[response]
-    low = 8 - of(level) if response == "product" else of(1 - level)  # a product is symmetric about 4
-    limit = al.output("y").at_least(low, probability=level)
+    low = 8 - of(LEVEL) if response == "product" else of(1 - LEVEL)  # a product is symmetric about 4
+    limit = al.output("y").at_least(low, probability=LEVEL)
     solution = largest(response, limit, order, least=low > 0)
     # The quantile is that of a size of 1, to a hundredth of its distance from the mean.
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
@@ -68,8 +67,8 @@ def test_a_limit_on_a_low_quantile_is_at_its_optimum_or_not_ok(response, level, 
     if response in ("exponential", "squares") and solution.ok:
         limit = low / float(solution.decisions["d"])
         beyond = stats.norm.cdf(np.log(limit) / 0.3) if response == "exponential" else stats.chi2(2).cdf(limit)
-        assert beyond == pytest.approx(1 - level, rel=0.15)
-    if response == "product" or (response == "squares" and level < 0.999):  # whose lowest values few lines meet
+        assert beyond == pytest.approx(1 - LEVEL, rel=0.15)
+    if response == "product":
         assert solution.ok
 
 
@@ -104,26 +103,6 @@ def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order
     assert exact is None or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning", "ignore::aleator.GridWarning")
-def test_a_limit_on_a_path_with_a_probability_is_active_and_held_by_systems_drawn_at_random():
-    """The suspension with fewer steps: 0.9 of all cars keep the limit at each instant, at the worst one no more."""
-    grid = al.Grid(2.8, 280)
-    limit = al.path("travel").within(-0.22, 0.22, probability=0.9)
-    options = {"minimize": RIDE.mean, "subject_to": [limit], "expansion": al.Expansion(order=2)}
-    optimum = al.solve(al.Problem(nominal(), grid=grid, inputs={"road": road()}, **options), throw=False)
-    assert optimum.certificate.violation < 1e-6
-    stiffness, damping = (float(optimum.decisions[name]) for name in ("k_s.mean", "b_s.mean"))
-    chosen = al.Uniform(stiffness, half_width=3750.0), al.Uniform(damping, half_width=250.0)
-    car = eqx.tree_at(lambda car: (car.k_s, car.b_s), nominal(), chosen)
-    travel = al.references.monte_carlo(
-        lambda car: al.simulate(car, grid, inputs={"road": road()})["travel"], car, 4000
-    ).values
-    assert max(np.mean(travel > 0.22, axis=0).max(), np.mean(travel < -0.22, axis=0).max()) == pytest.approx(
-        0.1, abs=0.02
-    )
-
-
 # --- Limits on skewness and kurtosis ----------------------------------------------------------------------------------
 
 
@@ -142,11 +121,10 @@ def solved(c, x, limit, order, sign):
     cases(
         [
             (al.output("g").skewness >= 0.4, scipy.stats.skew, 1),
-            (al.output("g").skewness <= 0.5, scipy.stats.skew, -1),
             (al.output("g").kurtosis >= 3.5, lambda values: scipy.stats.kurtosis(values, fisher=False), 1),
         ]
     ),
-    ids=["lower", "upper", "kurtosis"],
+    ids=["skewness", "kurtosis"],
 )
 def test_a_shape_that_polynomials_owe_to_what_never_occurs_is_no_answer(limit, of, sign):
     solution = solved(al.Decision(-0.5, -1.5, -0.05), al.Gamma(shape=0.6, scale=2.0), limit, 8, sign)

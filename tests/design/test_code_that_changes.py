@@ -3,8 +3,6 @@
 import random
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -59,54 +57,6 @@ def test_designs_and_evidence_are_of_the_equations_that_were_declared():
         change(1.0)
 
 
-def test_sweeps_do_not_mix_two_states_of_the_code():
-    one, change = through_global()
-    front = al.pareto(one, "x", [50.0, 60.0], progress=lambda what, done, total: change(3.0))
-    change(1.0)
-    assert [point.decisions["a.mean"] for point in front.solutions] == pytest.approx([1.0, 1.0], abs=1e-6)
-
-
-@pytest.mark.slow
-def test_no_method_of_a_model_is_called_once_it_is_declared():
-    calls = []
-
-    class Watched(al.System):
-        states = ("x",)
-        algebraic = ("y",)
-        rate: al.Number = al.Uniform(al.Decision(1.0, 0.5, 3.0), half_width=0.1)
-
-        def initial(self):
-            calls.append("initial")
-            return {"x": 1.0}
-
-        def rhs(self, t, z, push):
-            calls.append("rhs")
-            return (-self.rate * z.y + push,)
-
-        def residual(self, t, z):
-            calls.append("residual")
-            return (z.y - z.x,)
-
-        def algebraic_guess(self, t, z):
-            calls.append("guess")
-            return {"y": z.x}
-
-        def outputs(self, t, z):
-            calls.append("outputs")
-            return {"miss": (z.x - 0.2) ** 2}
-
-    inputs = {"push": al.Tabulated([0.0, 1.0], [0.0, 0.0])}
-    one = al.Problem(Watched(), grid=al.Grid(1.0, 4), inputs=inputs, minimize=al.terminal("miss").mean)
-    assert {*calls} == {"initial", "rhs", "residual", "guess", "outputs"}
-    calls.clear()
-    solution = al.solve(one)
-    al.validate(solution, 20)
-    al.deterministic(one)
-    al.solve(one, transcription=al.Simultaneous())
-    assert not calls
-    assert solution.decisions["rate.mean"] == pytest.approx(-np.log(0.2), rel=0.05)
-
-
 WEIGHT = 1.0
 
 
@@ -131,38 +81,18 @@ def test_functions_of_ones_own_in_expressions_are_refused_once_they_have_changed
     assert al.solve(al.Problem(one.system, minimize=objective())).objective > 1.5 * solution.objective
 
 
-@pytest.mark.parametrize(("name", "value"), [("power", 3), ("kind", "odd"), ("is_squared", False)])
-def test_a_problem_changed_as_a_tree_where_it_has_no_number_is_refused(name, value):
+def test_a_problem_changed_as_a_tree_where_it_has_no_number_is_refused():
     class Kind(al.AlgebraicSystem):
         a: al.Number = al.Uniform(al.Decision(1.0, 0.5, 9.0), half_width=0.1)
         power: int = 2
-        kind: str = "even"
-        is_squared: bool = True
 
         def outputs(self):
             return {"x": self.a**self.power}
 
     one = al.Problem(Kind(), minimize=al.output("x").mean)
-    changed = eqx.tree_at(lambda problem: getattr(problem.system, name), one, value)
+    changed = eqx.tree_at(lambda problem: problem.system.power, one, 3)
     with pytest.raises(al.ProblemError, match="has another structure than the one whose equations were traced"):
         al.solve(changed)
-
-
-@pytest.mark.slow
-def test_arrays_of_a_model_are_those_of_its_declaration():
-    """A problem is data: what becomes of an array that it was declared with is no concern of it."""
-
-    class Weighted(al.AlgebraicSystem):
-        goals: al.Number
-        a: al.Number = al.Uniform(al.Decision(0.0, -9.0, 9.0), half_width=0.1)
-
-        def outputs(self):
-            return {"x": ((self.a - self.goals) ** 2).sum()}
-
-    goals = np.array([0.0, 4.0])
-    one = al.Problem(Weighted(goals), minimize=al.output("x").mean)
-    goals[1] = 6.0
-    assert al.solve(one).decisions["a.mean"] == pytest.approx(2.0, abs=1e-6)
 
 
 COUNT = [0]
@@ -212,19 +142,3 @@ def test_the_second_trace_may_be_that_of_an_earlier_run(tmp_path, monkeypatch):
         with pytest.raises(al.ProblemError, match="something else each time"):
             declared(tossed)
     assert counts[1] < counts[0] == counts[2]
-
-
-def test_numbers_drawn_from_a_seed_and_calls_that_are_counted_are_no_accident():
-    calls = []
-
-    @jax.jit
-    def remembered():
-        return jnp.asarray(2.0)
-
-    def target(self):
-        calls.append(1)
-        return remembered() * float(np.random.default_rng(3).uniform(2.0, 2.5))
-
-    expected = 2 * np.random.default_rng(3).uniform(2.0, 2.5)
-    assert al.solve(declared(target)).decisions["a.mean"] == pytest.approx(expected, abs=1e-6)
-    assert calls

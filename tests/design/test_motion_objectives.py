@@ -10,7 +10,6 @@ import pytest
 from scipy import integrate
 
 import aleator as al
-from aleator.design import Taken
 from aleator.statistics import CoefficientProduct
 from aleator.transcription import transcribe
 from compiling import compiled
@@ -113,41 +112,16 @@ def test_the_norm_of_what_is_zero_has_derivative_zero():
 
 
 @pytest.mark.parametrize(
-    ("expression", "text"),
-    [
-        (al.objectives.effort("a", "b", weights=[1.0, 0.5]), "μ[∫a² dt] + 0.5 μ[∫b² dt]"),
-        (al.objectives.power({"a": "q_rate"}), "μ[∫|a q_rate| dt]"),
-        (al.objectives.coefficient_power({"a": "q_rate"}), "∫Σ|·|[a(t), q_rate(t)] dt"),
-        (al.objectives.terminal_variance("x", "y"), "‖Var[x(t_f)], Var[y(t_f)]‖"),
-        (al.time_integral(2 * al.path("x").std), "∫2 σ[x(t)] dt"),
-    ],
-)
-def test_objectives_are_shown_as_mathematics(expression, text):
-    assert str(expression) == text
-
-
-@pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: al.objectives.effort(), "effort: expected at least one output"),
         (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one per term; received 1"),
-        (lambda: al.objectives.power([("a", "b")]), "power: the rate along which each torque acts, by name: expected"),
         (lambda: al.time_integral(al.terminal("x").mean), "expected statistics of a path; received 'μ"),
-        (lambda: problem([al.objectives.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
     ],
-    ids=["nothing", "weights", "no rates", "no path", "a slip"],
+    ids=["weights", "no path"],
 )
 def test_objectives_that_make_no_sense_are_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
-
-
-def test_a_norm_and_a_root_mean_square_of_what_is_not_a_number_are_none():
-    for expression in (al.objectives.terminal_variance("a", "b"), al.objectives.terminal_mean_error({"a": 0.0})):
-        assert np.isnan(expression.evaluate(means(jnp.nan)))
-    functional = al.rms("a")
-    integral = functional.integrand({"a": jnp.asarray(jnp.nan)})
-    assert np.isnan(functional.evaluate(Taken({}, {functional: integral}), al.Grid(1.0, 2)))
 
 
 def test_no_sample_estimates_the_printed_power():

@@ -1,7 +1,5 @@
 """Problems: how they read, and what is refused before anything is solved."""
 
-import re
-
 import equinox as eqx
 import jax
 import numpy as np
@@ -16,7 +14,6 @@ from zoo import (
     Hardening,
     Oscillator,
     bar_problem,
-    deflection,
     gain_problem,
     optimum,
     oscillator_problem,
@@ -57,7 +54,6 @@ def declare(system=None, **changes):
     ("changes", "message"),
     [
         ({"minimize": al.rms("xx").mean}, r"no output of Oscillator 'xx'; expected one of \[.*\]. Did you mean 'x'\?"),
-        ({"minimize": al.value("k.spread")}, r"no number of the model 'k\.spread'; expected one of"),
         ({"inputs": {"force": sine(), "wind": sine()}}, r"takes the inputs \['force'\]; received \['force', 'wind'\]"),
         ({"grid": al.Grid(6.0, 80)}, "Input 'force' is known from 0 to 5 s, but the grid runs from 0 to 6 s"),
         ({"minimize": al.path("x").mean}, r"objective must be one number, but 'μ\[x\(t\)\]' has shape \(81,\)"),
@@ -66,7 +62,6 @@ def declare(system=None, **changes):
             {"system": Oscillator(m=1.0, c=0.1, k=al.Uniform(al.Decision(10.0, 1.0, 20.0), half_width=2.0))},
             "'k' must stay positive.*can reach -1",
         ),
-        ({"system": Oscillator(m=al.Normal(1.0, 0.1), c=0.1, k=10.0)}, "'m' must stay positive.*unbounded below"),
     ],
 )
 def test_a_problem_that_does_not_fit_together_is_refused_in_words(changes, message):
@@ -122,7 +117,6 @@ class Pendulum(al.Multibody):
     mass: al.Number = 1.0
     length: al.Number = 0.5
     inertia: al.Number = 0.01
-    tilt: al.Number = 0.0
 
     def bodies(self):
         return (
@@ -132,20 +126,8 @@ class Pendulum(al.Multibody):
                 mass=self.mass,
                 center=(self.length, 0.0, 0.0),
                 inertia=(0.0, self.inertia, 0.0),
-                orientation=(0.0, self.tilt, 0.0),
             ),
         )
-
-
-def planned(model, start, limit=3.0, final=1.0):
-    motion = al.BSpline(al.Decision(np.linspace(0.0, 1.0, 6), -4.0, 4.0), start=start, end=(1.0, 0.0))
-    return al.Problem(
-        al.InverseDynamics(model, motion={"a": motion}),
-        grid=al.Grid(final, 10),
-        minimize=al.objectives.effort("a_torque"),
-        subject_to=al.path("a_torque").within(-limit, limit),
-        expansion=al.Expansion(order=1),
-    )
 
 
 @pytest.mark.parametrize(
@@ -156,37 +138,20 @@ def planned(model, start, limit=3.0, final=1.0):
     ],
 )
 def test_numbers_that_make_no_body_are_refused_whatever_they_are_made_of(numbers, message):
+    motion = {"a": al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))}
     with pytest.raises(al.ProblemError, match=message):
-        planned(Pendulum(**numbers), (0.0, 0.0))
+        al.Problem(
+            al.InverseDynamics(Pendulum(**numbers), motion=motion),
+            grid=al.Grid(1.0, 10),
+            minimize=al.objectives.effort("a_torque"),
+        )
 
 
 # --- Algebraic problems -----------------------------------------------------------------------------------------------
 
 
 X = al.output("x")
-# The force that deflects the spring by 1.1.
-FORCE = 1.1 + 1.1**3
 SYSTEM = Hardening(a=al.Uniform(2.0, half_width=al.Decision(0.2, 0.01, 1.5)))
-
-
-def tolerance_problem(limit, **options):
-    """The cheapest tolerance on the force, around 2, that keeps the deflection below a limit."""
-    cost = al.cost.reciprocal("a.half_width", bias=1.0, scale=0.5)
-    return al.Problem(SYSTEM, minimize=cost, subject_to=[limit], **options)
-
-
-def test_an_algebraic_problem_prints_as_mathematics():
-    problem = tolerance_problem(X.at_most(1.1, sigmas=2.0))
-    assert str(problem) == "\n".join(
-        [
-            "minimise    (0.5/a.half_width + 1)",
-            "over        a.half_width ∈ [0.01, 1.5], from 0.2",
-            "subject to  x: μ[x] + 2 σ[x] ≤ 1.1",
-            "where       a ~ Uniform(mean=2, half_width=Decision(0.2 in [0.01, 1.5]))",
-            "equations   Hardening(x), solved by Newton's method",
-            "expansion   order 3 in 1 variables, TotalDegree index set, HammersleyPoints, LeastSquares fit",
-        ]
-    )
 
 
 @pytest.mark.parametrize(
@@ -208,22 +173,6 @@ def test_a_problem_that_does_not_fit_its_kind_of_system_is_refused(declare, mess
 
 
 @pytest.mark.slow
-def test_a_margin_on_a_deflection_gives_the_tolerance_of_exact_quadrature_and_evidence_counts_it():
-    solution = al.solve(tolerance_problem(X.at_most(1.1, sigmas=1.0), expansion=al.Expansion(6)))
-    width = solution.decisions["a.half_width"]
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    values = deflection(2.0 + width * nodes)
-    mean = weights @ values / 2
-    assert mean + np.sqrt(weights @ (values - mean) ** 2 / 2) == pytest.approx(1.1, rel=1e-6)
-    assert solution.objective == pytest.approx(1.0 + 0.5 / width, rel=1e-9)
-    assert solution.active == ("x",)
-    assert solution.constraints[0].times is None
-    assert solution.statistics["μ[x]"] == pytest.approx(mean, rel=1e-6)
-    evidence = al.validate(solution, 4000, seed=2)
-    assert evidence.violations["x"].lower <= (2.0 + width - FORCE) / (2 * width) <= evidence.violations["x"].upper
-    assert evidence.trajectories == ()
-
-
 def test_the_tolerance_of_an_assembly_is_that_of_its_closed_form():
     """The one-way clutch (dissertation, section 5.6): how wide the tolerance of the hub may be."""
     clutch = al.Assembly(
@@ -246,31 +195,3 @@ def test_the_tolerance_of_an_assembly_is_that_of_its_closed_form():
     spread = np.sqrt(np.sum(weight * (angle - mean) ** 2))
     ends = [(mean + 3 * spread - 7.5) / spread, (6.5 - mean + 3 * spread) / spread]
     assert max(ends) == pytest.approx(0.0, abs=1e-4)
-
-
-class Fold(al.AlgebraicSystem):
-    """`x² = b - a`: no solution where the load `a` exceeds `b`."""
-
-    unknowns = ("x",)
-    a: float
-    b: float
-
-    def guess(self):
-        return {"x": 1.0}
-
-    def residual(self, rho):
-        return (rho.x**2 + self.a - self.b,)
-
-
-def test_equations_without_a_solution_are_reported_with_point_and_residual():
-    problem = al.Problem(
-        Fold(al.Uniform(1.0, half_width=0.5), al.Decision(1.3, 1.0, 1.4)), minimize=al.output("x").mean
-    )
-    with pytest.raises(al.SimulationError) as caught:
-        al.solve(problem)
-    message = str(caught.value)
-    assert re.match(
-        r"Fold: Newton found no solution.*collocation point \d+ of 12 \(a = 1\.[345]\d*\).*decisions are b = 1\.3",
-        message,
-    )
-    assert "residual" in message

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Block, Gain, bar_problem, optimum
+from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, bar_problem, optimum
 
 LIMIT, WEIGHT = 2.0, 4.0
 
@@ -83,27 +83,11 @@ def test_exact_penalties_above_the_price_of_a_limit_are_the_limit(weight):
     assert found.decisions["r1.excess"] == pytest.approx(4.0 - moved[1], abs=1e-5)
 
 
-WAYS = [al.Sequential(), pytest.param(al.Simultaneous(al.schemes.GaussLegendre(1)), marks=pytest.mark.slow)]
-
-
-@pytest.mark.parametrize("way", WAYS, ids=["shooting", "collocation"])
-def test_a_limit_at_every_instant_is_integrated_over_time(way):
+def test_a_limit_at_every_instant_is_integrated_over_time():
     limit = al.path("response").at_most(LIMIT, sigmas=2)
     hard, slope = problem(limit, grid=al.Grid(2.5, 4)), 1 + 2 * SPREAD
-    found = optimum(al.soft(hard, "response", weight=WEIGHT), transcription=way)
+    found = optimum(al.soft(hard, "response", weight=WEIGHT))
     assert found.decisions["gain"] == pytest.approx(pulled(2.5 * WEIGHT, slope), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_only_the_constraints_named_become_penalties():
-    both = apart(lambda r: [(r.mean <= LIMIT).named("soft"), (r.mean >= 2.5).named("hard")])
-    softened = al.soft(both, "soft", weight=WEIGHT)
-    assert softened.names == ("hard",)
-    assert both.names == ("soft", "hard")
-    assert optimum(softened).decisions["gains"] == pytest.approx([2.5], rel=1e-6)
-    expected = (3 + WEIGHT * LIMIT + 2.0 * 2.5) / (1 + WEIGHT + 2.0)
-    twice = al.soft(softened, "hard", weight=2.0)
-    assert optimum(twice).decisions["gains"] == pytest.approx([expected], rel=1e-6)
 
 
 def test_soft_limits_tend_to_hard_ones_in_inverse_proportion_to_the_weight():
@@ -132,18 +116,6 @@ def test_a_decision_of_ones_own_joins_two_limits_to_the_least_largest_value():
     found = optimum(al.Problem(ends.system, minimize=level, subject_to=ends.constraints, decisions=own))
     assert found.objective == pytest.approx(1.5, rel=1e-6)
     assert found.decisions["gains"] == pytest.approx([2.5], rel=1e-6)
-
-
-def test_penalties_of_any_weight_are_solved_to_their_own_minimum():
-    # Control points of one line: least effort from rest to 1 at rest takes 12; penalties ask for less.
-    line = al.BSpline(al.Decision(np.array([1.0, -1.0]), -50.0, 50.0), degree=1)
-    ends = (al.terminal("x").mean.equals(1.0).named("X"), al.terminal("v").mean.equals(0.0).named("V"))
-    effort = al.integral("effort").mean
-    hard = al.Problem(Block(), grid=al.Grid(1.0, 20), inputs={"force": line}, minimize=effort, subject_to=ends)
-    for weight in (1e3, 1e9, 1e12):
-        # The multipliers of the hard optimum are (24, 12): the penalised one is lower by (24² + 12²) / 4w.
-        found = optimum(al.soft(hard, weight=weight)).objective
-        assert found == pytest.approx(12.0 - (24**2 + 12**2) / (4 * weight), rel=1e-3)
 
 
 @pytest.mark.slow

@@ -43,17 +43,6 @@ def test_a_multiplier_is_the_sensitivity_of_the_optimum_to_its_bound(solver, cha
     assert (ends[0] - ends[1]) / (2 * shift) == pytest.approx(-multiplier, rel=2e-3)
 
 
-def test_a_bound_multiplier_is_the_sensitivity_to_the_decision_bound(solver):
-    def optimum(bound):
-        program = problems.hs15()
-        program.upper[0] = bound
-        return solver.solve(program)
-
-    shift = 1e-5
-    slope = (optimum(0.5 + shift).evaluation.objective - optimum(0.5 - shift).evaluation.objective) / (2 * shift)
-    assert slope == pytest.approx(-optimum(0.5).bound_multipliers[0], rel=1e-3)
-
-
 def test_a_warm_start_costs_fewer_points_than_a_cold_one(solver):
     if isinstance(solver, InteriorPoint):
         pytest.skip("Uno's interior points begin far from all bounds, however close they are")
@@ -62,20 +51,6 @@ def test_a_warm_start_costs_fewer_points_than_a_cold_one(solver):
     assert warm.ok
     assert warm.evaluations < cold.evaluations
     assert warm.point == pytest.approx(cold.point, abs=1e-5)
-
-
-def test_every_point_is_evaluated_once(solver):
-    seen = []
-    program = problems.hs71()
-    inner = program.evaluate
-
-    def evaluate(x):
-        seen.append(x.tobytes())
-        return inner(x)
-
-    object.__setattr__(program, "evaluate", evaluate)
-    outcome = solver.solve(program)
-    assert outcome.evaluations == len(seen) == len(set(seen))
 
 
 def test_filter_sqp_needs_few_points_where_thousands_of_rows_are_nearly_active():

@@ -8,7 +8,6 @@ import pytest
 from nlp_problems import evaluation, hs71, program, rosenbrock
 
 import aleator as al
-from aleator.nlp import Evaluation
 
 EVERY = [
     al.solvers.NelderMead(),
@@ -126,48 +125,10 @@ def test_ctrl_c_ends_the_search_and_the_best_point_is_polished(solver):
     assert found.evaluation.objective <= np.nanmin(found.searched.objectives)
 
 
-@pytest.mark.parametrize("solver", [al.solvers.Direct(), *SHORT], ids=named)
-def test_an_error_of_the_model_reaches_the_caller(solver):
-    calls = []
-
-    def evaluate(x):
-        calls.append(x)
-        if len(calls) > 50:
-            raise ValueError("a slip")
-        return evaluation(float(x @ x), 2 * x)
-
-    with pytest.raises(ValueError, match="a slip"):
-        solver.solve(program(evaluate, [0.5, 0.5], [-1.0, -1.0], [1.0, 1.0]))
-
-
-@pytest.mark.parametrize("solver", SHORT, ids=named)
-def test_points_that_cannot_be_evaluated_are_left(solver):
-    def evaluate(x):
-        with np.errstate(invalid="ignore"):
-            root = float(np.sqrt(x[0] - 0.2))
-        return Evaluation(root + (x[1] - 0.5) ** 2, np.array([0.5 / root, 2 * x[1] - 1]), np.zeros(0), np.zeros((0, 2)))
-
-    one = program(evaluate, [0.9, 0.9], [-1.0, -1.0], [1.0, 1.0])
-    found = solver.solve(one)
-    assert found.searched.best()[-1] < 0.3
-    assert np.isnan(found.searched.objectives).any() or isinstance(solver, al.solvers.NelderMead)
-
-
 def test_a_model_that_is_finite_nowhere_is_no_answer():
     one = program(lambda x: evaluation(np.nan, [np.nan]), [0.5], [0.0], [1.0])
     found = al.solvers.DifferentialEvolution(evaluations=100).solve(one)
     assert found.status is al.Status.EVALUATION_FAILED
-
-
-@pytest.mark.parametrize("solver", SHORT, ids=named)
-def test_a_kink_is_found_and_no_optimum_is_claimed(solver):
-    def evaluate(x):
-        return evaluation(float(np.abs(x - 0.123).sum()), np.sign(x - 0.123))
-
-    found = solver.solve(program(evaluate, [0.9, 0.8], [-1.0, -1.0], [1.0, 1.0]))
-    np.testing.assert_allclose(found.point, 0.123, atol=2e-2)
-    assert found.status is al.Status.FAILED
-    assert "kink" in found.message
 
 
 @pytest.mark.parametrize("solver", SHORT, ids=named)

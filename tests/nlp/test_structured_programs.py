@@ -1,16 +1,14 @@
 """Programs with declared sparse Jacobians and Hessians: the answers of the dense ones, and sizes these cannot have."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from nlp_problems import INF, evaluation, program
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
 from aleator._core.errors import ProblemError
-from aleator.nlp import Evaluation, FilterSQP, Hessian, InteriorPoint, Ipopt, NonlinearProgram, Slsqp, Status
+from aleator.nlp import Evaluation, FilterSQP, Hessian, InteriorPoint, Ipopt, NonlinearProgram, Slsqp
 
 INTERIOR = [Ipopt(), InteriorPoint()]
 named = pytest.mark.parametrize("solver", INTERIOR, ids=lambda one: type(one).__name__)
@@ -65,21 +63,6 @@ def optimum(count):
     return brentq(lambda y: count * (y - 2.0) + np.sum((np.sqrt(y) - t) / (2 * np.sqrt(y))), 0.5, 5.0, xtol=1e-13)
 
 
-@pytest.mark.slow
-def test_a_hundred_thousand_decisions_that_share_one_are_solved_without_a_dense_matrix():
-    count = 100_000
-    declared = arrow(count)
-    tracemalloc.start()
-    outcome = Ipopt().solve(declared)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert outcome.ok, outcome.message
-    assert outcome.point[-1] == pytest.approx(optimum(count), rel=1e-4)
-    np.testing.assert_allclose(outcome.point[:-1], np.sqrt(outcome.point[-1]), rtol=1e-6)
-    # A dense Jacobian has 80 GB; memory of the solvers' own code is not counted here.
-    assert peak < 300e6
-
-
 @named
 @pytest.mark.parametrize("scale", [1e-3, 200.0])
 def test_derivatives_of_either_kind_lead_to_the_same_optimum(solver, scale):
@@ -96,23 +79,6 @@ def test_solvers_of_few_decisions_take_sparse_programs_too(solver):
         outcome = solver.solve(arrow(12, hessian=hessian))
         assert outcome.ok, outcome.message
         assert outcome.point[-1] == pytest.approx(optimum(12), rel=1e-5)
-
-
-@pytest.mark.parametrize("solver", [*INTERIOR, FilterSQP()], ids=lambda one: type(one).__name__)
-def test_fixed_decisions_and_rows_that_bind_nothing_are_left_out(solver):
-    declared = arrow(20)
-    upper, free = declared.upper.copy(), declared.constraint_upper.copy()
-    upper[3] = declared.lower[3] = 1.2
-    free[3], declared.constraint_lower[3] = np.inf, -np.inf
-    outcome = solver.solve(replace(declared, upper=upper, constraint_upper=free))
-    assert outcome.ok, outcome.message
-    assert outcome.point[3] == 1.2
-    assert outcome.multipliers[3] == 0.0
-    rest = np.delete(targets(20), 3)
-    expected = brentq(lambda y: 20 * (y - 2.0) + np.sum((np.sqrt(y) - rest) / (2 * np.sqrt(y))), 0.5, 5.0, xtol=1e-13)
-    assert outcome.point[-1] == pytest.approx(expected, rel=1e-5)
-    # What holds the fixed decision makes the Lagrangian stationary there.
-    assert outcome.bound_multipliers[3] == pytest.approx(targets(20)[3] - 1.2)
 
 
 def test_second_derivatives_that_are_not_finite_do_not_pass_for_an_answer():
@@ -144,28 +110,3 @@ def test_a_jacobian_of_another_sparsity_is_refused():
 def test_slsqp_refuses_what_its_dense_matrices_cannot_hold():
     with pytest.raises(ProblemError, match="expected at most 2000 variables; received 3001"):
         Slsqp().solve(arrow(3000))
-
-
-def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
-    # Minimise the sum of x_i, with x_i >= 0.5 and row i: (x_i - 1)_+² + (x_{i+1} - x_i)² <= 1, flat at the start.
-    n = 12
-
-    def evaluate(x):
-        jacobian = np.zeros((n, n))
-        ahead = np.roll(x, -1)
-        over = np.maximum(x - 1.0, 0.0)
-        rows = over**2 + (ahead - x) ** 2
-        for i in range(n):
-            jacobian[i, i] = 2 * over[i] - 2 * (ahead[i] - x[i])
-            jacobian[i, (i + 1) % n] += 2 * (ahead[i] - x[i])
-        return evaluation(-x.sum(), -np.ones(n), rows, jacobian)
-
-    start = np.linspace(0.6, 0.7, n)
-    declared = program(evaluate, start, np.full(n, 0.5), rows=[(-INF, 1.0)] * n)
-    # Told of the entries at the start alone, of which those of the first part are zero by chance.
-    narrow = np.eye(n, dtype=bool)
-    outcome = FilterSQP().solve(replace(declared, sparsity=narrow))
-    assert outcome.status is Status.SOLVED
-    # All x equal to 2 meet every row with equality, and by symmetry and convexity no sum is larger.
-    np.testing.assert_allclose(outcome.point, 2.0, atol=1e-6)
-    np.testing.assert_allclose(outcome.multipliers, 0.5, atol=1e-5)

@@ -1,21 +1,14 @@
 """The clutch study: table 7.2, its analysis and its allocation, in small, from stage to page."""
 
 import itertools
-import json
 import math
-import re
 
 import numpy as np
 import pytest
-import xarray
 from scipy import optimize
-from typer.testing import CliRunner
 
 import aleator as al
-from aleator import cli
 from aleator import extending as ext
-from aleator.journalling import FILE
-from aleator.reporting import PAGE
 from aleator.studies import load
 from aleator.studies.clutch import (
     MEANS,
@@ -166,41 +159,3 @@ def test_given_and_cheapest_and_safe_tolerances_are_all_counted_and_the_verdict_
     assert "Tighten the hub a, widen the roller c and ring e" in said.headline
     assert "the worst case must stay within 6° to 8°" in said.sentences[0]
     assert any(one.startswith("The given tolerances") and "breaks 6°" in one for one in said.sentences)
-
-
-def aleator(*arguments):
-    result = CliRunner().invoke(cli.application, [*map(str, arguments), "--json"])
-    assert result.exit_code == 0, result.output
-    return json.loads(result.stdout)
-
-
-def body(page):
-    """A page without the time at which it was written."""
-    return re.sub(r"on \d{4}-\d\d-\d\d at \d\d:\d\d", "", page.read_text(encoding="utf-8"))
-
-
-@pytest.mark.slow
-def test_a_case_study_is_written_and_run_again_from_its_folder_alone_also_of_a_run_that_was_killed(tmp_path):
-    folder = tmp_path / "clutch"
-    aleator("run", "clutch", "--quick", "--out", folder)
-    before, page = (folder / FILE).read_bytes(), body(folder / PAGE)
-    with xarray.open_datatree(folder / "results.nc", engine="h5netcdf") as results:  # table 7.2 is no design
-        found = results["methods"].to_dataset().sel(row="Monte Carlo")
-        assert 0.65 < float(found["three_sigma"]) < 0.67
-        assert found["seconds"].attrs["units"] == "s"
-    assert aleator("report", folder, "--out", tmp_path / PAGE)["missing"] == []
-    assert (folder / FILE).read_bytes() == before
-    assert body(tmp_path / PAGE) == page
-    done = {json.loads(line)["key"] for line in before.decode().splitlines() if '"state": "done"' in line}
-    assert aleator("run", "clutch", "--quick", "--out", folder)["recalled"] == len(done)
-    assert body(folder / PAGE) == page
-    # Killed after table 7.2.
-    (folder / PAGE).unlink()
-    lines = before.decode().splitlines(keepends=True)
-    (folder / FILE).write_text("".join(lines[: next(i for i, one in enumerate(lines) if "work tolerances" in one)]))
-    found = aleator("report", folder)
-    assert found["missing"] == [
-        "'The given tolerances' is not finished, nor what follows it: work tolerances, limits is missing."
-    ]
-    assert found["verdict"].startswith("Nothing to build yet. The study was stopped early in 'The given tolerances'")
-    assert "gPC, order 3" in body(folder / PAGE)

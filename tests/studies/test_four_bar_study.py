@@ -51,6 +51,7 @@ def simulated():
     return {name: np.asarray(values) for name, values in run(driven(model)).items()}
 
 
+@pytest.mark.slow
 def test_the_path_of_the_closed_loop_is_that_of_elimination():
     offsets = (PLAYS[pin] * np.array(SEATS[pin]) for pin in PLAYS)
     lengths = {name: np.asarray(one) for name, one in UNEVEN.items()}
@@ -61,6 +62,7 @@ def test_the_path_of_the_closed_loop_is_that_of_elimination():
     np.testing.assert_allclose(found["transmission"], expected.transmission, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_reactions_and_torque_balance_free_bodies():
     """Newton and Euler for each bar, in the plane, from its angles alone: forces in the pins and the motor's torque."""
     found, (a, b, c) = simulated(), (UNEVEN[name] / 1e3 for name in BARS)

@@ -10,7 +10,7 @@ import pytest
 
 import aleator as al
 from aleator.reporting import page_html
-from aleator.studies import Draft, load, pick_and_place_time, swing_up
+from aleator.studies import Draft, load, swing_up
 from aleator.studies._motion import TARGET as TOLERATED
 from aleator.studies.pick_and_place_effort._chapter import ROBUST
 from aleator.studies.pick_and_place_time._chapter import MEAN, ONE, REFERENCE, WORST
@@ -50,15 +50,6 @@ def quick(name):
 
 
 # --- Optima ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_fastest_robust_plan_keeps_its_limits_between_the_instants():
-    solution = al.solve(pick_and_place_time.robust_problem(1.0))
-    means, stds = moments(solution, (*TORQUES, *GAPS), finer=13)
-    assert max(np.max(np.abs(means[name]) + stds[name]) for name in TORQUES) <= 10 * (1 + 2e-6)
-    assert min(np.min(means[name]) for name in GAPS) >= -2e-6
-    # What holding between instants costs is small.
-    assert solution.objective <= 1.5939 * 1.001
 
 
 def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_distances():
@@ -154,34 +145,3 @@ def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(page, tmp_pat
     page.save(tmp_path)
     saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
     assert saved[f"plans/{ONE}"]["objective"]["value"] == page.kept["plans"][ONE].objective
-
-
-def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(page, monkeypatch):
-    begun, plan = Draft(load("pick-and-place-time", quick=True)), page.kept["plans"][MEAN]
-    cut_short = al.results.Starts((plan, plan), interrupted=True)
-    monkeypatch.setattr(al, "multistart", lambda *arguments, **options: cut_short)
-    with pytest.raises(KeyboardInterrupt):
-        begun.fill()
-    assert begun.kept["plans"] == {MEAN: plan}
-    html = page_html(begun.page())
-    assert "The study was stopped early in 'The plans'" in html.replace("&#39;", "'").replace("&#x27;", "'")
-    assert "2 are finished and kept" in html
-
-
-@pytest.mark.parametrize(
-    ("name", "figures", "verdict"),
-    [
-        ("pick-and-place-effort", ("5.2", "5.3"), "Build: "),
-        # Its calibration takes minutes, and is left out.
-        ("swing-up", ("5.10", "5.11", "5.13", "5.14"), "Do not build yet: "),
-    ],
-)
-def test_a_quick_run_shows_its_figures_and_says_what_it_leaves_out(name, figures, verdict, tmp_path):
-    page = quick(name)
-    assert page.headline().startswith(verdict)
-    assert "This was a quick run, without" in page.headline()
-    html = page_html(page.page())
-    assert all(f"Figure {number}" in html for number in figures)
-    page.save(tmp_path)
-    saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
-    assert {one["status"] for one in saved.values()} == {al.Status.SOLVED.value}

@@ -9,7 +9,6 @@ import pytest
 import aleator as al
 from aleator.reporting import interval
 from aleator.studies._motion import TARGET, compared, to_build
-from aleator.studies.swing_up._chapter import terminal_norm
 from zoo import STRESS, bar_problem
 
 SAID = {"labels": {"width": "a width of"}, "who": "samples", "objective": "mass"}
@@ -63,16 +62,6 @@ def test_there_is_no_design_to_build_where_the_interval_reaches_beyond_the_targe
     assert (said.level, said.word) == ("caution", "Do not build yet")
 
 
-def test_limits_that_were_given_no_margin_count_as_well(margin, printed, counted):
-    samples = margin.evidence.samples
-    broken = dict.fromkeys(margin.evidence.broken, np.arange(samples) < round(2 * TARGET * samples))
-    other = replace(margin, evidence=replace(margin.evidence, broken=broken))
-    assert other.confirmed
-    said = to_build(other, printed, counted, **SAID)
-    assert (said.level, said.word) == ("caution", "Do not build yet")
-    assert "2.00" in dict(said.rows)["Limits broken"]
-
-
 def test_what_compares_with_printed_numbers_follows_from_the_numbers():
     for ours, told in (
         ({"a": 10.0, "b": 12.1, "c": 14.8}, "signs, order and sizes agree:"),
@@ -86,14 +75,3 @@ def test_what_compares_with_printed_numbers_follows_from_the_numbers():
         changes = [float(one) for one in re.findall(r"[+−]([\d.]+)\u202f% \(published", sentence)]
         np.testing.assert_allclose(changes, [abs(ours[name] / 10 - 1) * 100 for name in "bc"], rtol=5e-3)
     assert compared({"a": 1.0, "b": 1.2}, {"a": 3.0}, "efforts") == ""
-
-
-def test_the_variance_of_the_tip_is_told_with_the_error_of_its_sample():
-    # Of n normal numbers the variance has the standard error s² sqrt(2 / n); so has the norm of two of equal size.
-    count, spread = 20_000, 0.3
-    ends = np.random.default_rng(4).normal(0.0, spread, (2, count, 1))
-    systems: dict[str, np.ndarray] = {"tip_x": ends[0], "tip_y": ends[1]}
-    family = al.results.Motions("outputs", np.zeros(1), systems, {}, {}, {})
-    value, error = (float(part) for part in terminal_norm(family).split(" ± "))
-    assert error == pytest.approx(spread**2 * np.sqrt(2 / count), rel=0.35)
-    assert abs(value - np.sqrt(2) * spread**2) < 4 * error

@@ -13,9 +13,7 @@ from aleator.studies._quantities import amount, plain
 PAIRS = {
     ("60 rpm", "Hz"): 1.0,
     ("60 rpm", "rad/s"): 6.283185307179586,
-    ("1 rev/s", "rad/s"): 6.283185307179586,
     ("60 1/min", "Hz"): 1.0,
-    ("180°", "rad"): 3.141592653589793,
     ("1 mrad", "deg"): 0.057295779513082320,
     ("1 N m/deg", "N m/rad"): 57.29577951308232,
     ("1 N m/rad", "N m"): 1.0,
@@ -24,14 +22,9 @@ PAIRS = {
     ("1 rpm/s", "rad/s^2"): 0.10471975511965977,
     ("1 m²/Hz", "m² s/rad"): 0.15915494309189535,
     ("1 N m rad/s", "W"): 1.0,
-    ("2 kNm", "N m"): 2000.0,
-    ("5 m s-1", "km/h"): 18.0,
-    ("12e-6 /K", "1/K"): 12e-6,
     ("5 %", "-"): 0.05,
     ("0.4 %/degC", "1/K"): 0.004,
-    ("30 mV/%", "V/%"): 0.03,
     ("1 W/(m² K)", "mW/(mm^2 K)"): 1e-3,
-    ("20 °C", "degC"): 20.0,
     ("1 1/degC", "1/K"): 1.0,
 }
 
@@ -70,32 +63,15 @@ def test_percentages_of_a_value_are_refused():
     assert "such as '50 ± 10', no percentage" in refusal_of(amount, "0.9 ± 5 %", "-")
 
 
-@pytest.mark.parametrize(
-    ("text", "unit", "written"),
-    [
-        ("25 ± 5 degC", "K", "Write '298.15 ± 5 K'."),
-        ("77 ± 9 degF", "K", "Write '298.15 ± 5 K'."),
-        ("50,0 ± 10 V", "V", "Write decimals with a point: '50.0 ± 10 V'."),
-    ],
-)
-def test_refused_tolerances_say_what_to_write(text: str, unit: str, written: str):
-    assert refusal_of(amount, text, unit).endswith(written)
-
-
 ZONES = {
     "20 -0.02/-0.04 mm": (19.96, 19.98),
     "20 +0.1/0 mm": (20.0, 20.1),
     "8 +0.1 0 mm": (8.0, 8.1),
-    "20 -0/+0.1 mm": (20.0, 20.1),
     "20 +-0.1 mm": (19.9, 20.1),
     "20 +0.05/\N{MINUS SIGN}0.02 mm": (19.98, 20.05),
-    "20 +1e-1/-2e-1 mm": (19.8, 20.1),
     "2 ± 0.01 cm": (19.9, 20.1),
     "20 ±0.1": (19.9, 20.1),
-    "20 mm +/- 0.1 mm": (19.9, 20.1),
     "20 \N{MINUS SIGN}0.1/+0.1 mm": (19.9, 20.1),
-    "2 ±0.01 cm": (19.9, 20.1),
-    "20mm ± 0.1mm": (19.9, 20.1),
     # atopile/atopile#436 read an upper limit twice; a unit at the end is that of both numbers.
     "50 +/- 10mm": (40.0, 60.0),
     "50 +- 10 um": (0.04, 0.06),

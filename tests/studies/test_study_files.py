@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli
-from aleator.studies import Study, load, schema
+from aleator.studies import Study, load
 from zoo import SPREAD
 
 NEEDED = 1.0 + 3.0 * SPREAD  # the width is NEEDED / stress
@@ -111,6 +111,7 @@ def loaded(text: str) -> Study:
 # --- In Python -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_declared_study_sweeps_and_trades_off(here: Path):
     (here / "bar.py").write_text(SWEPT)
     code, said = aleator("run", "bar.py")
@@ -176,14 +177,6 @@ def test_a_new_study_runs_as_it_is(here: Path):
     assert {one["status"] for one in designs.values()} == {al.Status.SOLVED.value}
 
 
-def test_a_new_study_is_begun_beside_no_folder_of_its_name(here: Path):
-    (here / "plate").mkdir()
-    code, said = aleator("new", "plate")
-    assert code == 2
-    assert "'plate' is a folder: name a file in it, such as plate/bracket.py." in said
-    assert not (here / "plate.py").exists()
-
-
 WRONG = {
     "a slip": (
         "wrong.py",
@@ -219,45 +212,6 @@ def test_a_file_changes_numbers_limits_margins_expansion_and_solver_in_their_uni
     assert study.solves == 2 + 2
 
 
-PYTHON = {
-    'load = "2000 N"': 2.0,
-    'load = "2000 ± 30 N"': al.Toleranced(2.0, tolerance=0.03),
-    'load = "2000 +300/+100 N"': al.Toleranced(2.0, plus=0.3, minus=-0.1),
-    'load = { distribution = "Normal", mean = { start = "2 kN", upper = "3000 N" }, std = 0.1 }': al.Normal(
-        al.Decision(2.0, upper=3.0), 0.1
-    ),
-    'load = { distribution = "Beta", alpha = 2, beta = 5, lower = "1 kN", upper = "2 kN" }': al.Beta(
-        alpha=2.0, beta=5.0, lower=1.0, upper=2.0
-    ),
-}
-
-
-def test_quantities_are_those_that_python_would_declare(here: Path):
-    for text, load_ in PYTHON.items():
-        (problem,) = loaded(f'problem = "bar:problem"\n[model]\n{text}\n').problems.values()
-        assert str(problem.system.load) == str(load_)
-
-
-def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_is_taken(here: Path):
-    head = 'problem = "bar:problem"\n[model]\nload = { start = 1.0 }\nwidth = '
-    with pytest.raises(al.ProblemError, match="'width' must stay positive") as refused:
-        loaded(f'{head}"27.645 +0.05/-0.02 mm"\n')
-    advised = re.search(r"[Ww]rite (TruncatedNormal)\((.*?)\)", str(refused.value))
-    assert advised is not None
-    (problem,) = loaded(f'{head}{{ distribution = "{advised[1]}", {advised[2]} }}\n').problems.values()
-    found = problem.system.width
-    # The zone of the drawing, whose half-width is three standard deviations.
-    assert [float(one) for one in found.support()] == pytest.approx([27.625, 27.695])
-    assert found.parameters["scale"] == pytest.approx(0.035 / 3)
-
-
-def test_two_bounds_make_a_limit_on_a_mean_two_sided(here: Path):
-    with Path("bar.py").open("a", encoding="utf-8") as file:
-        file.write('\nheavy = al.Problem(bar, minimize=stress.std, subject_to=[al.output("mass").mean >= 1.0])\n')
-    (problem,) = loaded('problem = "bar:heavy"\n[limits]\nmass = ["2 mm", "0.3 cm"]\n').problems.values()
-    assert [(float(one.lower), float(one.upper)) for one in problem.constraints] == [(2.0, 3.0)]
-
-
 MISTAKES = [
     ("samples = 2000", "sampels = 2000", 3, "sampels: is unknown. Did you mean 'samples'?"),
     ("load = {", "laod = {", 8, "laod: the model has no number of this name. Did you mean 'load'?"),
@@ -276,10 +230,3 @@ def test_what_is_wrong_is_told_with_its_line(here: Path, old: str, new: str, lin
     assert code == 2, told
     assert re.search(rf"bar.toml, line {line}\b|at line {line}\b", told), told
     assert said in told
-
-
-def test_the_schema_names_every_key_and_is_printed():
-    code, said = aleator("schema")
-    assert code == 0
-    assert set(schema()["properties"]) >= {"problem", "model", "limits", "sigmas", "sweeps", "grid", "solver"}
-    assert '"Uniform"' in said

@@ -18,6 +18,7 @@ FEATURES = {"gap": "housing - 3*plate - shim"}
 COSTS = {name: (FIXED, slope) for name, slope in SLOPES.items()}
 
 
+@pytest.mark.slow
 def test_half_widths_of_a_linear_stack_are_those_of_lagrange():
     """Costs `a + b / h` under a limit on `sum (s h)²` or on `sum |s| h`."""
     found = al.allocate(stack(), COSTS, "gap", lower=0.1, upper=0.7, cpk=1.2)
@@ -64,19 +65,11 @@ def test_what_no_tolerances_can_keep_is_said_and_the_rest_is_given():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"costs": {}}, r"costs: expected \(fixed, slope\) of some of the dimensions \['housing', 'plate', 'shim'\]"),
         ({"costs": {"bolt": (1.0, 1.0)}}, r"costs: expected .* received \{'bolt'"),
         ({"costs": {"shim": (1.0, -1.0)}}, r"costs of 'shim': expected .*slope above 0; received \(1.0, -1.0\)"),
-        ({"costs": {"shim": 1.0}}, r"costs of 'shim': expected"),
         ({"lower": 1.0, "upper": 0.5}, r"expected limits lower < upper.*received 1.0 and 0.5"),
         ({"upper": np.inf, "lower": -np.inf}, "one of them finite"),
-        ({"cpk": 0.0}, "cpk: expected"),
-        ({"output": "gab"}, "Did you mean 'gap'"),
         ({"stack": stack(shim=al.Normal(0.6, 0.01))}, r"'shim': expected an al.Toleranced dimension"),
-        (
-            {"stack": al.Toleranced(1.0, tolerance=0.1)},
-            "expected AlgebraicSystem, such as an al.Assembly",
-        ),
     ],
 )
 def test_is_refused(options, words):

@@ -135,13 +135,6 @@ def test_the_true_violation_exceeds_the_target_in_no_more_than_one_run_of_twenty
     assert np.median(true) > 0.5 * 0.05  # nor is the margin needlessly large
 
 
-def test_margins_of_several_limits_keep_the_ratio_in_which_they_were_given(bench):
-    found = calibrated(NAMES, problem=shifted_problem((0.8, 1.6)))
-    assert found.margins["y"] == found.sigmas == pytest.approx(2 * found.margins["x"])
-    exact = 1 - stats.norm.cdf(found.margins["x"]) * stats.norm.cdf(found.margins["y"])
-    assert found.confirmation.lower <= exact <= found.confirmation.upper <= 0.05
-
-
 def test_fresh_systems_are_those_of_no_trial_and_of_no_evidence_with_the_same_seed(bench):
     bench.lucky = 3  # so that more than one look at fresh systems is needed
     executor = Inline(lambda results: results[-1])
@@ -179,15 +172,6 @@ def test_a_target_that_no_design_reaches_is_not_confirmed_and_what_was_found_is_
     bench.widest = 0.5
     with pytest.raises(al.SolveError, match="'x' is violated"):
         calibrated("x", 0.01)
-
-
-def test_a_design_a_little_below_the_target_is_not_confirmed_and_how_many_systems_would_tell_is_said(bench):
-    # Broken by 6.06 %: too close to 6.3 % for some thousand systems to tell.
-    bench.widest, bench.error = 1.55, al.SimulationError
-    with pytest.warns(al.CalibrationWarning, match=r"about [\de.+]+ fresh systems would tell; from sigmas = 1\.5"):
-        found = calibrated("x", 0.063, samples=4000, seed=4)
-    assert not found.confirmed
-    assert found.confirmation.lower < stats.norm.sf(found.sigmas) < 0.063 < found.confirmation.upper
 
 
 @pytest.mark.filterwarnings("error")

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 
 import aleator as al
-from zoo import Decay, cases
+from zoo import Decay
 
 COUNT, REACH = 6, 10.0
 IDLE = ((0.0, 0.0, 0.0), 1.0)
@@ -67,35 +66,6 @@ def test_limits_that_hold_together_are_no_conflict_and_what_was_not_shown_is_not
     found = al.conflict(polyhedron(BUDGET, NEED), solver=al.solvers.Ipopt(max_iterations=1))
     assert not found.shown
     assert "not shown" in str(found)
-
-
-def drawn(seed):
-    """Random limits between bounds, of which no point meets all, as arrays."""
-    generator = np.random.default_rng(seed)
-    while True:
-        slopes, bounds = generator.normal(size=(COUNT, 3)), generator.normal(size=COUNT) - 0.3
-        if not holds(slopes, bounds, range(COUNT)):
-            return slopes, bounds
-
-
-def holds(slopes, bounds, rows):
-    rows = list(rows)
-    return linprog(np.zeros(3), A_ub=slopes[rows], b_ub=bounds[rows], bounds=(-REACH, REACH)).status == 0
-
-
-@pytest.mark.parametrize("seed", cases(range(4)))
-def test_the_set_is_irreducible_by_linear_programs(seed):
-    slopes, bounds = drawn(seed)
-    found = al.conflict(polyhedron(*zip(slopes, bounds, strict=True)))
-    members = [int(name) for name in found.names]
-    assert members
-    assert not holds(slopes, bounds, members)
-    for one, limit in zip(members, found.limits, strict=True):
-        assert holds(slopes, bounds, set(members) - {one})
-        others = [i for i in range(COUNT) if i != one]
-        nearest = linprog(slopes[one], A_ub=slopes[others], b_ub=bounds[others], bounds=(-REACH, REACH))
-        needed = nearest.fun - bounds[one] if nearest.status == 0 else np.inf
-        assert limit.relaxed == pytest.approx(needed, rel=1e-4)
 
 
 X = al.output("x")

@@ -1,6 +1,5 @@
 """Work by executors: the same results as anywhere, in whatever order it ends, whatever becomes of a worker."""
 
-import pickle
 import sys
 import threading
 import warnings
@@ -12,10 +11,8 @@ import pytest
 
 import aleator as al
 from aleator._core.executors import each_done, each_of, packed
-from aleator.transcription import transcribe, valued_by
-from aleator.transcription.sequential import _population
 from executors import AsProcesses, Inline, Lost, scattered
-from zoo import MASS, SPREAD, STRESS, Valleys, bar_problem, valleys_problem
+from zoo import MASS, SPREAD, STRESS, bar_problem, valleys_problem
 
 VALUES = [0.5, 0.4, 0.6, -1.0]
 NEEDED = 1.0 + 3.0 * SPREAD
@@ -95,7 +92,6 @@ def test_warnings_and_refusals_of_workers_are_told_with_their_place(travelling: 
 UNBELIEVED = {
     "other work": (lambda results: results[0], "at x = 1: the executor gave the result of other work"),
     "nonsense": (lambda results: b"nonsense", "at x = .: expected what a worker has found; received b'nonsense'"),
-    "a strange pickle": (lambda results: pickle.dumps((1, 2)), "at x = .: expected what a worker has found"),
 }
 
 
@@ -104,20 +100,6 @@ def test_what_is_no_result_of_the_work_that_was_sent_is_never_believed(what):
     given, said = UNBELIEVED[what]
     with pytest.raises(al.SimulationError, match=said):
         done(Inline(given))
-
-
-def test_a_thread_that_gives_the_result_of_other_work_is_not_believed(threads: Executor, monkeypatch):
-    first, submit = [], threads.submit
-
-    def submitted(*given):
-        first.append(submit(*given))
-        again = Future()
-        again.set_result(first[0].result())
-        return again
-
-    monkeypatch.setattr(threads, "submit", submitted)
-    with pytest.raises(al.SimulationError, match=r"at x = 1.*the result of other work"):
-        done(threads)
 
 
 def test_lost_workers_are_told_and_ctrl_c_in_one_is_ctrl_c():
@@ -167,14 +149,6 @@ def test_a_front_by_an_executor_and_its_evidence_are_those_of_here(tmp_path: Pat
     assert again.objectives.tobytes() == front.objectives.tobytes()
 
 
-def test_a_journal_says_what_lost_workers_have_left_undone(tmp_path: Path):
-    with al.journal(tmp_path), pytest.raises(al.SimulationError, match="its worker died"):
-        al.pareto(bar_problem(), "stress", VALUES[:2], executor=Lost(1, OSError("gone")))
-    states = [one.state.value for one in al.load(tmp_path).entries]
-    assert len(states) == 2
-    assert {"failed"} <= {*states} <= {"done", "failed"}
-
-
 @pytest.mark.parametrize(("method", "traced"), [("monte_carlo", True), ("quasi_monte_carlo", False)])
 def test_samples_by_an_executor_are_those_of_this_process_to_the_last_bit(travelling: Executor, method, traced: bool):
     model = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
@@ -184,28 +158,6 @@ def test_samples_by_an_executor_are_those_of_this_process_to_the_last_bit(travel
     for name, values in here.values.items():
         assert values.tobytes() == there.values[name].tobytes()
     assert here["sum"].mean.value == pytest.approx(2.0, abs=0.2)
-
-
-@pytest.mark.slow
-def test_local_searches_of_a_portfolio_by_an_executor_that_a_journal_has_are_not_repeated(
-    tmp_path: Path, travelling: Executor, monkeypatch: pytest.MonkeyPatch
-):
-    def end(task: str, done: int, total: int) -> None:
-        if task == "local searches" and done == 4:
-            raise RuntimeError("ended")
-
-    with al.journal(tmp_path), pytest.raises(RuntimeError, match="ended"):
-        al.portfolio(valleys_problem(), 6, search=SEARCH, progress=end)
-    undisturbed = al.portfolio(valleys_problem(), 6, search=SEARCH)
-    assert len(undisturbed.optima) == 2
-    monkeypatch.setattr(type(SEARCH), "seek", lambda *_: pytest.fail("the global search is known"))
-    sent, submit = [], travelling.submit
-    monkeypatch.setattr(travelling, "submit", lambda *given: sent.append(given) or submit(*given))
-    with al.journal(tmp_path):
-        resumed = al.portfolio(valleys_problem(), 6, search=SEARCH, executor=travelling)
-    assert len(sent) == 2
-    assert resumed.optima == undisturbed.optima
-    assert resumed.best.vector.tobytes() == undisturbed.best.vector.tobytes()
 
 
 # --- Generations of a search -----------------------------------------------------------------------------------------
@@ -253,36 +205,7 @@ def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(tmp_pat
     assert len(sent) == calls
 
 
-@pytest.mark.slow
-def test_a_worker_makes_a_population_once_for_all_generations(travelling: Executor, monkeypatch: pytest.MonkeyPatch):
-    made = []
-    monkeypatch.setattr(_population, "refuse_other_code", made.append)
-    # A problem of its own: what a worker has made for others, it keeps.
-    own = al.Problem(Valleys(al.Decision(0.25, -2.0, 2.0), 0.0), minimize=al.output("depth").mean)
-    program = transcribe(own).program
-    shared = valued_by(travelling, program, "here")
-    for number in (40, 17):
-        points = np.linspace(-2.0, 2.0, number)[:, None]
-        np.testing.assert_array_equal(shared.values(points)[0], program.values(points)[0])
-    assert len(made) == 1
-    others = type(program)(**{**vars(program), "values": lambda points: (points[:, 0], points[:, :0])})
-    with pytest.raises(al.ProblemError, match=r"executor: expected transcription=al.Sequential\(\)"):
-        valued_by(travelling, others, "solve")
-
-
 def test_ctrl_c_in_a_worker_keeps_the_best_so_far():
     found = al.solve(valleys_problem(), SEARCH, executor=Lost(4, KeyboardInterrupt()), throw=False)
     assert found.effort.searched.end.startswith("stopped by the user")
     assert 0 < found.effort.searched.evaluations < 60
-
-
-@pytest.mark.slow
-def test_a_front_of_a_population_by_an_executor_is_that_of_this_process(travelling, sent):
-    pytest.importorskip("pymoo")
-    problem, own = al.Problem(bar_problem().system, minimize=MASS.mean), {"method": "population", "evaluations": 80}
-    wishes = {"mass": MASS.mean, "stress": STRESS.mean}
-    here, there = (al.trade_off(problem, wishes, 3, executor=executor, **own) for executor in (None, travelling))
-    assert here.values.tobytes() == there.values.tobytes()
-    # Stress times mass is the mean load, one.
-    np.testing.assert_allclose(there.values[:, 0] * there.values[:, 1], 1.0, rtol=1e-6)
-    assert evaluations(sent) >= 80

@@ -8,7 +8,7 @@ import scipy
 
 import aleator as al
 from aleator.uncertainty import correlations_at, placements
-from zoo import Decay, Gain, Oscillator, optimum, sine
+from zoo import Decay, Gain
 
 GRID = al.Grid(3.0, 120)
 TIMES = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 25))
@@ -54,66 +54,6 @@ def test_a_decay_measured_between_the_instants_is_fitted_as_scipy_fits_it(decay,
     assert "correlation" in str(found)
 
 
-def test_a_whole_number_is_known_once_it_is_found():
-    model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=al.Integer(2, 1, 2))
-    found = al.posterior(al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED))))
-    expected = curve_fit(
-        lambda t, b: 2 * np.exp(-b * t), DECAYED, (1.5,), lambda t, b: (-2 * t * np.exp(-b * t))[:, None]
-    )
-    assert found.names == ("rate",)
-    np.testing.assert_allclose(found.mean, expected[0], rtol=1e-6)
-    np.testing.assert_allclose(found.covariance, expected[1], rtol=1e-6)
-    assert found.system.start == 2.0
-
-
-def test_an_oscillator_with_two_measured_outputs_is_fitted_as_least_squares_fits_it():
-    def motion(numbers):
-        damping, stiffness = numbers
-        delta, omega = damping / 2, np.sqrt(stiffness - damping**2 / 4)
-        waves = np.exp(-delta * TIMES) * np.array([np.cos(omega * TIMES), np.sin(omega * TIMES)])
-        x = 0.1 * (waves[0] + delta / omega * waves[1])
-        return x, -0.1 * stiffness / omega * waves[1]
-
-    x, v = (course + one * NOISE for course, one in zip(motion((0.7, 9.0)), (0.1, 0.3), strict=True))
-    model = Oscillator(m=1.0, c=al.Decision(0.3, 0.05, 8.0), k=al.Decision(10.0, 1.0, 100.0), x0=0.1)
-    fit = al.residuals("x", TIMES, x, std=0.002) + al.residuals("v", TIMES, v, std=0.006)
-    inputs = {"force": sine(0.0)}
-    found = al.posterior(al.solve(al.Problem(model, grid=al.Grid(3.0, 300), inputs=inputs, minimize=fit)))
-
-    def residuals(numbers):
-        own = motion(numbers)
-        return np.concatenate([(own[0] - x) / 0.002, (own[1] - v) / 0.006])
-
-    expected = scipy.optimize.least_squares(residuals, (0.3, 10.0), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    mean, covariance = by_name(found, "c", "k")
-    np.testing.assert_allclose(mean, expected.x, rtol=1e-6)
-    squares = 2 * expected.cost / (2 * len(TIMES) - 2)
-    np.testing.assert_allclose(covariance, squares * np.linalg.inv(expected.jac.T @ expected.jac), rtol=1e-6)
-    assert found.variance == pytest.approx(squares, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_several_experiments_are_the_entries_of_a_state():
-    starts = np.array([1.0, 2.0])
-    data = starts * np.exp(-0.7 * TIMES[:, None]) + np.stack([NOISE, NOISE[::-1]], axis=1)
-    model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=starts)
-    found = al.posterior(al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, data))))
-    expected = scipy.optimize.least_squares(
-        lambda rate: np.ravel(starts * np.exp(-rate * TIMES[:, None]) - data), 1.5, jac="3-point", xtol=1e-14
-    )
-    assert found.mean[0] == pytest.approx(expected.x[0], rel=1e-6)
-    assert len(found.residuals) == 50
-
-
-@pytest.mark.slow
-def test_of_an_uncertain_model_the_mean_is_fitted():
-    def rate_of(start):
-        model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=start)
-        return al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED))).decisions["rate"]
-
-    assert rate_of(al.Normal(2.0, 0.1)) == pytest.approx(rate_of(2.0), rel=1e-6)
-
-
 def test_the_spread_of_a_fit_is_ready_for_the_next_design(decay):
     found = al.posterior(decay)
     places = placements(found.system)
@@ -132,10 +72,7 @@ def test_the_spread_of_a_fit_is_ready_for_the_next_design(decay):
         (lambda: decay_problem(data=np.where(np.arange(25) == 4, np.nan, DECAYED)), "nan at index 4, t = 0.122921 s"),
         (lambda: decay_problem(times=TIMES[:-1]), "each of the 24 times; received data of shape .25"),
         (lambda: decay_problem(times=TIMES + 1.0), "from 0 to 3 s; received 3.01187 s at index 16"),
-        (lambda: decay_problem(times=[]), "expected a list of times"),
         (lambda: decay_problem(std=np.ones(3)), "one positive number, one for each time"),
-        (lambda: decay_problem(std=0.0), "one positive number, one for each time"),
-        (lambda: decay_problem(data=np.stack([DECAYED, DECAYED], axis=1)), "expected data of shape .25,."),
         (lambda: al.Problem(Decay(al.Decision(1.0)), grid=GRID, minimize=al.residuals("y", [1], [1])), "output .* 'y'"),
     ],
 )
@@ -157,10 +94,8 @@ def test_data_behind_the_event_that_ends_a_motion_are_refused_by_name():
         fit = al.residuals("x", np.tile(times, 2), data, std=0.1)
         return al.Problem(Halving(al.Decision(1.05, 0.3, 3.0), 1.0), grid=grid, minimize=fit)
 
-    times = np.array([0.2, 0.5, 0.65, 1.0])
     with pytest.raises(al.SolveError, match=r"residuals of 'x' compare a datum at 1 s with .* ends at 0.693\d s"):
-        al.solve(problem(times))
-    assert float(optimum(problem(times[:-1])).decisions["rate"]) == pytest.approx(1.0, abs=1e-5)
+        al.solve(problem(np.array([0.2, 0.5, 0.65, 1.0])))
 
 
 def test_each_phase_has_data_at_its_own_times():

@@ -1,17 +1,14 @@
 """Fronts along a bound against their closed forms, what becomes of points without a design, and evidence along them."""
 
-import warnings
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 import aleator as al
-from aleator.reporting import dataset, front_figure
 from aleator.sweep import _runner
-from zoo import MASS, SPREAD, STRESS, Bar, Decay, bar_problem
+from zoo import MASS, SPREAD, STRESS, Bar, bar_problem
 
 NEEDED = 1.0 + 3.0 * SPREAD
 
@@ -35,35 +32,6 @@ def test_a_front_is_that_of_single_solves_and_of_the_closed_form():
     assert np.isnan([front.objectives[1], front.shadow_prices[1]]).all()
     assert front.violations[1] > 0.01
     assert "'stress' is violated by" in str(front)
-
-
-def decaying():
-    """A decay begins at one, whatever its rate: a lower bound is refused before anything is solved."""
-    return al.Problem(
-        Decay(al.Decision(1.0, 0.1, 4.0)),
-        grid=al.Grid(1.0, 20),
-        minimize=al.terminal("x").mean,
-        subject_to=[al.path("x").at_most(1.2), (al.terminal("x").mean >= 0.1).named("low")],
-    )
-
-
-@pytest.mark.slow
-def test_a_refused_point_is_kept_with_what_was_said_drawn_and_saved_and_the_others_are_solved():
-    front = al.pareto(decaying(), "x", [0.9, 1.2])
-    assert front.values.tolist() == [0.9, 1.2]
-    assert front.solved.tolist() == [False, True]
-    np.testing.assert_allclose(front.objectives[1:], 0.1, rtol=1e-6)
-    refused = front.points[0]
-    assert refused not in front.solutions
-    assert "whatever the decisions are" in refused.why()
-    assert "whatever the decisions are" in str(front)
-    assert np.isnan([front.objectives[0], front.violations[0], front.shadow_prices[0]]).all()
-    figure = front_figure({"one": front}, x="limit", y="objective")
-    hovered = [text for trace in figure.data for text in np.ravel(trace.customdata) if trace.customdata is not None]
-    assert any("whatever the decisions are" in text for text in hovered)
-    assert np.isnan(dataset(front)["objective"].values).tolist() == [True, False]
-    with pytest.raises(al.ProblemError, match="whatever the decisions are"):
-        al.pareto(decaying(), "x", [0.9, 0.8])
 
 
 def test_ctrl_c_ends_a_front_with_the_points_that_are_finished_and_is_itself_where_there_are_none(monkeypatch):
@@ -124,33 +92,3 @@ def test_a_trade_off_is_counted_against_the_problems_own_limits_alone(strong):
     assert [set(one.violations) for one in found.evidence] == [{"strong"}] * 3
     lightest = found.evidence[0].violations["strong"]  # as light as its limit lets it be
     assert lightest.lower <= norm.cdf(-1.5) <= lightest.upper
-
-
-class Root(al.AlgebraicSystem):
-    """An output that the systems in a corner do not have where `a` is small: too few for a handful of fresh ones."""
-
-    a: al.Number
-    off: al.Number
-    beside: al.Number
-    third: al.Number
-
-    def outputs(self):
-        corner = (self.off > 0.35) & (self.beside > 0.35) & (self.a < 5.0)
-        return {"x": jnp.where(corner, jnp.nan, self.a + self.off + self.third)}
-
-
-def least(bound):
-    """The smallest `a` above a bound; two points of collocation are too few to see the end of the model."""
-    normals = [al.Normal(0.0, 0.2) for _ in range(3)]
-    root = Root(al.Decision(8.5, bound, 9.0), *normals)
-    with warnings.catch_warnings(action="ignore"):
-        return al.solve(al.Problem(root, minimize=al.output("x").mean, expansion=al.Expansion(order=1)), throw=False)
-
-
-@pytest.mark.slow
-def test_designs_that_cannot_be_simulated_are_told_and_others_kept():
-    found = al.validate_all([least(8.0), least(1.0)], 5000)
-    assert [one is None for one in found.evidence] == [False, True]
-    assert "not finite" in found.refused[1]
-    assert not found.agrees
-    assert "not finite" in str(found)

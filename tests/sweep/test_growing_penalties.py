@@ -44,15 +44,6 @@ def test_an_exact_penalty_holds_once_its_weight_is_above_the_shadow_price():
     assert found.best.decisions["width"] == pytest.approx(LIMIT, rel=1e-5)
 
 
-@pytest.mark.slow
-def test_only_named_constraints_grow_and_the_others_hold():
-    found = al.harden(problem(LOW, (MASS.mean >= 2.5).named("high")), "low", most=3)
-    assert not found.holds
-    assert len(found.solutions) == 3
-    assert found.best.decisions["width"] == pytest.approx(2.5, rel=1e-5)
-    assert str(found).endswith("allow larger weights, or see al.conflict")
-
-
 def test_of_several_limits_of_one_name_the_worst_excess_counts():
     found = al.harden(problem((MASS.mean <= LIMIT).named("band"), (MASS.mean >= 1.0).named("band")), weight=1.0, most=1)
     # Least by (a - 3)² + (a - 2)²: at 2.5.

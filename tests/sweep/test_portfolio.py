@@ -1,15 +1,12 @@
 """A portfolio finds the best of many optima, and says how sure one may be of it."""
 
-import itertools
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.sweep._front import Place, doubtful
 from executors import pressed
 from zoo import TwoBasins
 
@@ -75,14 +72,6 @@ def test_an_objective_at_its_lower_bound_is_proven_best_and_one_optimum_wherever
     assert found.random == 7
 
 
-@pytest.mark.slow
-def test_a_problem_without_a_design_gives_the_least_violated_one():
-    impossible = X.at_most(-3.0, sigmas=1.0)
-    found = al.portfolio(problem(subject_to=[impossible]), 3, search=replace(SEARCH, evaluations=100))
-    assert found.optima == ()
-    assert found.best.status is al.Status.INFEASIBLE
-
-
 @pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_keeps_what_was_found():
     found = al.portfolio(problem(), 20, search=SEARCH, progress=pressed("local searches", 3))
@@ -98,31 +87,6 @@ def test_ctrl_c_keeps_what_was_found():
 
 
 # --- Points of a front that a neighbour's design may better, and fronts of problems with several optima ---------------
-
-
-CURVES = {
-    "1/b": (lambda b: 1 / b, lambda b: -1 / b**2),
-    "concave": (lambda b: 4 - b**2, lambda b: -2 * b),
-    "constant": (lambda b: 3.0 + 0 * b, lambda b: 0 * b),
-    "exp(-2b)": (lambda b: np.exp(-2 * b), lambda b: -2 * np.exp(-2 * b)),
-}
-BOUNDS = np.linspace(0.5, 1.0, 9)
-
-
-def places(objective, slope, lifted=()):
-    return [Place(b, objective(b) + (1.0 if b in lifted else 0.0), slope(b)) for b in BOUNDS.tolist()]
-
-
-@pytest.mark.parametrize("name", CURVES)
-def test_no_point_of_a_smooth_front_is_in_doubt(name):
-    assert list(doubtful(places(*CURVES[name]), 1, 4.0)) == []
-
-
-@pytest.mark.parametrize("name", CURVES)
-def test_a_point_above_the_curve_is_in_doubt_from_each_neighbour(name):
-    for i, relaxing in itertools.product((0, 4, 8), (1, 0)):
-        pairs = set(doubtful(places(*CURVES[name], lifted=[BOUNDS[i]]), relaxing, 4.0))
-        assert pairs == {(BOUNDS[i], BOUNDS[j]) for j in (i - 1, i + 1) if 0 <= j < len(BOUNDS)}
 
 
 def two_basins(start: float, limit) -> al.Problem:

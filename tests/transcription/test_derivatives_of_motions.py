@@ -84,21 +84,6 @@ def test_derivatives_agree_with_finite_differences(declared):
     assert derivative_error(values, jacobian, x, steps=(1e-4, 1e-5, 1e-6)) < 1e-6
 
 
-def test_the_largest_quantile_of_a_plan_is_exact_with_derivatives_by_all_decisions():
-    """The torque is affine in the mass, the only uncertain number."""
-    limit = al.path("angle_torque").at_most(40.0, probability=0.9)
-    problem = codesign(minimize=al.objectives.final_time(), subject_to=[limit])
-    transcribed = transcribe(problem)
-    program, x = transcribed.program, problem.placements.vector("initial") + 0.01 * np.sin(np.arange(12))
-    found = program.evaluate(x)
-    largest = [int(np.argmax(found.constraints))]
-    (torques,) = (one for one in transcribed.at(x).samples if one.ndim == 2)
-    slope, middle = np.polyfit(np.ravel(transcribed.collocation.points), torques, 1)
-    assert found.constraints[largest] == pytest.approx((middle + 0.8 * np.abs(slope))[largest], rel=1e-9)
-    values = lambda at: program.evaluate(at).constraints[largest]  # noqa: E731
-    assert derivative_error(values, found.jacobian[largest], x, steps=(1e-4, 1e-5, 1e-6)) < 1e-6
-
-
 # --- Sparsity --------------------------------------------------------------------------------------------------------
 
 

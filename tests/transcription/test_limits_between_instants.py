@@ -3,14 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline
 from scipy.optimize import linprog, minimize
 
 import aleator as al
 import zoo
-from aleator.certification import begin_check
-from aleator.certification._between import Margin, excess_between, jumps, tightened
-from aleator.design import is_over_time
+from aleator.certification._between import Margin, jumps, tightened
 from aleator.nlp import FilterSQP, Status
 from aleator.transcription import transcribe
 from zoo import Pendulum
@@ -30,13 +27,6 @@ def plan(*limits, steps=4, free=8, degree=3, gravity=0.0, end=1.0, **options):
         subject_to=limits or [al.path("angle_torque").within(-10.0, 10.0, sigmas=1.0)],
         expansion=al.Expansion(order=1),
     )
-
-
-def curve(points, end, degree):
-    """The motion over the fraction of time, by SciPy."""
-    inner = np.linspace(0.0, 1.0, len(points) + 5 - degree)
-    knots = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
-    return BSpline(knots, np.concatenate([[0.0, 0.0], points, [end, end]]), degree)
 
 
 def test_a_plan_that_breaks_its_limits_between_too_few_instants_is_no_solution():
@@ -64,17 +54,6 @@ def test_an_interruption_while_limits_are_tightened_is_not_swallowed(monkeypatch
     assert len(calls) == 2
 
 
-@pytest.mark.slow
-def test_a_plan_whose_torque_jumps_between_instants_holds_on_both_sides_of_the_jump():
-    """Torques of motions of degree 2 jump at knots."""
-    solution = al.solve(plan(steps=61, free=2, degree=2, gravity=4.0, end=2.0))
-    assert solution.ok
-    motion, inner = curve(np.ravel(solution.decisions["motion.angle.free"]), 2.0, 2), np.linspace(0.0, 1.0, 4)
-    sides = np.concatenate([inner[1:] - 1e-9, inner[:-1] + 1e-9, np.linspace(1e-9, 1 - 1e-9, 20_001)])
-    torque = motion.derivative(2)(sides) / solution.decisions["t_final"] ** 2 + 4.0 * np.sin(motion(sides))
-    assert np.max(np.abs(torque)) * (1 + 0.1 / np.sqrt(3)) == pytest.approx(10.0, rel=1e-4)
-
-
 def test_the_sides_of_a_jump_are_continued_to_it():
     fine = np.arange(21.0)
     values = np.where(fine < 7.3, 2.0 + 0.1 * fine, -1.0 + 0.2 * fine)[:, None]
@@ -89,13 +68,12 @@ def test_the_sides_of_a_jump_are_continued_to_it():
 
 
 class Rippled(al.System):
-    """A level with a ripple or a pulse on it, which is known in closed form."""
+    """A level with a ripple on it, which is known in closed form."""
 
     states = ("q",)
     level: al.Number
     depth: al.Number
     ripple: al.Number = 0.0
-    pulse: al.Number = 0.0
     best: al.Number = 3.0
 
     def rhs(self, t, z):
@@ -103,32 +81,18 @@ class Rippled(al.System):
 
     def outputs(self, t, z):
         wave = jnp.sin(2 * jnp.pi * self.ripple * t)
-        bump = jnp.where(self.pulse > 0, jnp.exp(-(((t - 0.3375) / (self.pulse + 1e-9)) ** 2)), 0.0)
-        return {"i": self.level * (1.0 + self.depth * (wave + bump)), "loss": (self.level - self.best) ** 2}
+        return {"i": self.level * (1.0 + self.depth * wave), "loss": (self.level - self.best) ** 2}
 
 
-def rippled(high=9e3, low=-9e3, peak=9e3, ripple=0.0, pulse=0.0, best=3.0):
+def rippled(high=9e3, low=-9e3, peak=9e3, ripple=0.0):
     i = al.path("i")
     limits = [i.at_most(high, sigmas=2.0).named("high"), i.at_least(low).named("low"), al.peak("i").at_most(peak)]
-    system = Rippled(al.Decision(1.0, 0.1, 10.0), al.Uniform(0.5, half_width=0.05), ripple, pulse, best)
+    system = Rippled(al.Decision(1.0, 0.1, 10.0), al.Uniform(0.5, half_width=0.05), ripple)
     return al.Problem(system, grid=al.Grid(1.0, 100), minimize=al.terminal("loss").mean, subject_to=limits)
 
 
 def answer(between=None, **options):
     return al.solve(rippled(**options), between=between, refine=False, throw=False)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_paths_and_peaks_are_compared_with_their_limits_on_the_finer_grid():
-    transcribed, level = transcribe(rippled(high=1.9, peak=1.2, ripple=50.0)), np.array([1.0])
-    factor = answer(high=1.5, ripple=100.0).certificate.between.factor
-    between, shifts = excess_between(begin_check(transcribed, level, factor)())
-    wave = np.sin(2 * np.pi * 50.0 * np.linspace(0.0, 1.0, 100 * factor + 1))
-    assert wave.max() > 0.9 > wave[::factor].max()
-    np.testing.assert_allclose(shifts[2].by.ravel(), [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)
-    assert between.name == transcribed.problem.names[2]
-    assert between.worst == pytest.approx((0.5 * wave.max() - 0.2) / 1.2)
-    assert all(is_over_time(one) for one in transcribed.problem.constraints)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -143,25 +107,7 @@ def test_a_ripple_that_all_instants_share_breaks_the_limit():
     assert solution.certificate.between.is_costly
     at_instants = answer(high=1.5, ripple=frequency, between=1)
     assert at_instants.decisions["level"] == pytest.approx(1.5, rel=1e-6)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_a_trough_breaks_a_lower_limit_too():
-    # Half of the level is left in the troughs.
-    assert answer(low=1.0, ripple=100.0).ok
-    solution = answer(low=1.0, ripple=100.0, best=1.2)
-    # The middle system in a trough is at half of its level, and cannot be at 1 with a level of 1.2.
-    assert solution.decisions["level"] == pytest.approx(1.0 / (1 - 0.5), rel=0.02)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_a_pulse_between_instants_breaks_the_limit_of_a_path_and_of_its_peak():
-    width = 5e-4
-    solution = answer(high=1.5, pulse=width)
-    assert solution.ok
-    assert solution.decisions["level"] <= 1.5 / (1 + 0.5 + 2 * 0.05 / np.sqrt(3))
-    assert solution.certificate.between.is_costly
-    of_peak = answer(peak=1.5, pulse=width)
+    of_peak = answer(peak=1.5, ripple=frequency)
     assert not of_peak.ok
     assert "do not tell whether it holds" in of_peak.why()
 
@@ -216,12 +162,11 @@ def gentlest(bound):
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["peak", "trough"])
-@pytest.mark.parametrize("steps", zoo.cases([30, 61, 200]))
-def test_optimum_and_price_of_a_path_do_not_depend_on_where_the_instants_are(steps, side):
+def test_optimum_and_price_of_a_path_do_not_depend_on_where_the_instants_are(side):
     path, bound = al.path("x"), 0.15
     limit = path.at_most(bound) if side > 0 else path.at_least(-bound)
     system = Damped(al.Decision(20.0, 1.0, 500.0), al.Decision(2.0, 0.1, 20.0), side)
-    problem = al.Problem(system, grid=al.Grid(2.0, steps), minimize=al.rms("a").mean, subject_to=[limit])
+    problem = al.Problem(system, grid=al.Grid(2.0, 30), minimize=al.rms("a").mean, subject_to=[limit])
     solution = al.solve(problem)
     assert solution.objective == pytest.approx(gentlest(bound), rel=1e-4)
     slope = (gentlest(bound - 1e-3) - gentlest(bound + 1e-3)) / 2e-3
@@ -245,7 +190,7 @@ class Tank(al.System):
         return {"level": z.level, "pressure": z.level + 0.5 * self.gain * inflow}
 
 
-@pytest.mark.parametrize(("end", "steps"), zoo.cases([(1.37, 20), (1.5, 20), (1.5, 160), (1.0, 300)]))
+@pytest.mark.parametrize(("end", "steps"), zoo.cases([(1.37, 20), (1.5, 20)]))
 def test_a_limit_holds_up_to_a_declared_jump_and_no_further_than_it_has_to(end, steps):
     problem = al.Problem(
         Tank(al.Decision(1.0, 0.01, 9.0)),
@@ -280,51 +225,3 @@ def test_a_control_that_is_constant_in_each_step_keeps_its_limit_at_both_ends_of
     assert solution.objective == pytest.approx(lowest(0.6), rel=1e-5)
     price = (lowest(0.599) - lowest(0.601)) / 2e-3
     assert solution.constraints[0].shadow_price == pytest.approx(price, rel=1e-3)
-
-
-class Driven(al.System):
-    """A unit mass on a rail, driven by a force, and the power that this takes."""
-
-    states = ("x", "v")
-
-    def rhs(self, t, z, force):
-        return z.v, force
-
-    def outputs(self, t, z, force):
-        return {"x": z.x, "v": z.v, "power": z.v * force}
-
-
-def furthest(bound, steps):
-    """How far it comes in two seconds from rest to rest with steps of force and no more power, by SciPy."""
-
-    def rolled(force):
-        v = np.concatenate([[0.0], np.cumsum(force)]) * 2.0 / steps
-        return np.sum(v[:-1] + v[1:]) / steps, v
-
-    limits = [
-        {"type": "eq", "fun": lambda force: rolled(force)[1][-1]},
-        {"type": "ineq", "fun": lambda force: bound - np.append(force * rolled(force)[1][1:], 0.0)},
-    ]
-    start = np.repeat([0.7, -0.7], steps // 2)
-    found = minimize(
-        lambda force: -rolled(force)[0], start, bounds=[(-2, 2)] * steps, constraints=limits, options={"ftol": 1e-11}
-    )
-    assert found.success
-    return -found.fun
-
-
-@pytest.mark.parametrize("steps", zoo.cases([8, 6, 12]))
-def test_a_limit_on_what_jumps_with_a_control_takes_a_finer_grid_and_costs_nothing(steps):
-    """The power before a jump depends on the speed there, which is zero at the start of the first step."""
-    problem = al.Problem(
-        Driven(),
-        grid=al.Grid(2.0, steps),
-        inputs={"force": al.Control(0.1, -2.0, 2.0, degree=0)},
-        minimize=-al.terminal("x").mean,
-        subject_to=[al.path("power").at_most(0.9), al.terminal("v").mean.equals(0.0)],
-    )
-    solution = al.solve(problem)
-    assert -solution.objective == pytest.approx(furthest(0.9, steps), rel=1e-6)
-    price = (furthest(0.901, steps) - furthest(0.899, steps)) / 2e-3
-    assert solution.constraints[0].shadow_price == pytest.approx(price, rel=1e-3)
-    assert solution.problem.grid.steps > steps

@@ -100,20 +100,3 @@ def test_a_system_that_is_not_a_number_in_any_part_leaves_no_number():
     evaluation = transcribe(decaying(model=Bursting)).program.evaluate(np.array([1.0, 0.5]))
     assert np.isnan(evaluation.objective)
     assert np.isnan(evaluation.constraints).all()
-
-
-@pytest.mark.parametrize(("which", "error"), [(0, MemoryError), (1, KeyboardInterrupt)])
-def test_what_a_part_raises_is_raised(which, error):
-    transcription = transcribe(decaying())
-    evaluate: Any = Evaluator(transcription.traced, transcription.discretised, None)
-
-    class Failing:
-        def prepare(self, last):
-            pass
-
-        def __call__(self, last):
-            raise error
-
-    evaluate._programs[which] = Failing()
-    with pytest.raises(error):
-        evaluate(np.array([1.0, 0.5]))

@@ -119,15 +119,6 @@ def test_the_figure_of_derivatives_is_the_error_of_their_own_expansion():
         assert exact[name] <= error <= 4 * exact[name]
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_is_said():
-    solution = al.solve(bent_problem("kink", 5))
-    quality = solution.certificate.expansion
-    assert quality.worst <= quality.tolerance < quality.worst_tangent.error
-    assert "not resolved, so shadow prices" in str(solution)
-
-
 @pytest.mark.filterwarnings("ignore")
 def test_an_optimum_that_follows_from_derivatives_that_are_not_resolved_is_no_answer():
     system = algebraic(lambda x: {"y": (x - 0.45) ** 2})(al.Triangular(0.0, al.Decision(0.3, 0.01, 0.99), 1.0))
@@ -147,30 +138,6 @@ def test_as_many_points_as_terms_leave_nothing_to_check_by():
     with pytest.warns(al.ExpansionWarning, match="5 points for 5 terms leave nothing to check the expansion"):
         solution = al.solve(bent_problem("smooth", 4, points=5))
     assert not solution.certificate.expansion.can_be_checked
-
-
-@pytest.mark.slow
-def test_a_derivative_that_does_not_vary_is_resolved_whatever_an_integrator_makes_of_it():
-    class Rising(al.System):
-        states = ("x",)
-        a: al.Number
-
-        def rhs(self, t, z):
-            return (self.a - z.x,)
-
-        def outputs(self, t, z):
-            return {"x": z.x}
-
-    problem = al.Problem(
-        Rising(al.Uniform(al.Decision(1.0, 0.1, 5.0), half_width=0.05)),
-        grid=al.Grid(1.0, 20),
-        integrator=al.integrators.Tsit5(),
-        minimize=al.value("a.mean"),
-        subject_to=[al.terminal("x").mean >= 0.5],
-    )
-    solution = al.solve(problem)
-    assert solution.objective == pytest.approx(0.5 / (1 - np.exp(-1.0)), rel=1e-6)
-    assert solution.certificate.expansion.worst_tangent.error == 0.0
 
 
 def test_the_rounding_of_a_derivative_that_vanishes_says_nothing_of_the_expansion():

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
-
 import aleator as al
 from zoo import Decay
 
@@ -21,17 +19,3 @@ def decaying_problem(*further: al.Constraint, **options: Any) -> al.Problem:
     ]
     decay = Decay(al.Normal(1.0, 0.05), al.Decision(2.0, 1.0, 3.0))
     return al.Problem(decay, **({"grid": GRID, "minimize": al.integral("x").mean, "subject_to": limits} | options))
-
-
-class Rooted(Decay):
-    """A decay with an output that slow ones do not have."""
-
-    def outputs(self, t, z):
-        return {"x": z.x, "root": jnp.sqrt(self.rate - 0.45)}
-
-
-def rooted_problem() -> al.Problem:
-    """All but three systems in a hundred have this output."""
-    decay, limit = Rooted(al.Normal(1.0, 0.3), al.Decision(0.8, 0.5, 1.0)), al.path("root").mean <= 2.0
-    expansion, minimize = al.Expansion(order=1), al.integral("x").mean
-    return al.Problem(decay, grid=GRID, minimize=minimize, subject_to=[limit.named("root")], expansion=expansion)

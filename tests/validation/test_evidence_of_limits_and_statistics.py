@@ -1,15 +1,14 @@
 """Systems are counted where the design holds its limits, and every statistic of a problem is estimated from them."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy import optimize, stats
+from scipy import stats
 from scipy.interpolate import BSpline
 
 import aleator as al
-from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, Pendulum, gain_problem
+from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Pendulum, gain_problem
 
 FREE, STEPS, LIMIT, STD = 4, 7, 1.6, 0.2
 ROUGHLY = 0.01  # so few steps give the effort to a quarter of a per cent
@@ -58,46 +57,6 @@ def test_the_share_that_breaks_a_limit_is_that_at_all_times_and_not_at_the_insta
     instants = solution.certificate.between.factor * STEPS + 1
     assert evidence.instants == instants
     assert instants > 100
-
-
-@pytest.mark.slow
-def test_moments_and_kept_systems_stay_those_of_the_design_s_own_grid(solution):
-    # As though its error were an order below what is tolerated: otherwise all is sampled on a finer grid.
-    certificate = dataclasses.replace(solution.certificate, grid_error=None)
-    exact = dataclasses.replace(solution, certificate=certificate)
-    fine = al.validate(exact, 300, batch=70, keep=300)
-    blind = dataclasses.replace(exact, certificate=dataclasses.replace(certificate, between=None))
-    coarse = al.validate(blind, 300, batch=70, keep=300)
-    for text, one in coarse.functionals.items():
-        np.testing.assert_array_equal(fine.functionals[text].mean, one.mean)
-        np.testing.assert_array_equal(fine.functionals[text].std, one.std)
-    for one, other in zip(fine.trajectories, coarse.trajectories, strict=True):
-        np.testing.assert_array_equal(one.values, other.values)
-        assert one.values.shape == (300, STEPS + 1)
-        assert one.violating.sum() == fine.violations["momentum"].count
-    assert fine.violations["momentum"].count > coarse.violations["momentum"].count
-
-
-def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
-    path = al.path("response")
-    limits = [
-        (al.objectives.norm(path.mean) <= 9.0).named("norm"),
-        (path.std <= 9.0).named("spread"),
-        RESPONSE.mean.equals(2.0).named("end"),
-        (al.value("gain") <= 5.0).named("given"),
-    ]
-    evidence = al.validate(
-        al.solve(al.Problem(gain_problem().system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=limits)), 100
-    )
-    assert evidence.violations == {}
-    assert evidence.instants is None
-    assert list(evidence.uncounted.values()) == [
-        "a function or an integral of statistics",
-        "a statistic of all systems together",
-        "an equality, which no single system meets",
-        "numbers of the design alone",
-    ]
-    assert {one.name: one.meets for one in evidence.compared if one.name != "end"} == {"norm": True, "spread": True}
 
 
 # --- Statistics of problems, beside what the expansion says of them --------------------------------------------------
@@ -150,36 +109,3 @@ def test_estimates_and_their_standard_errors_are_those_of_statistics_on_the_samp
 
 def test_limits_on_an_end_of_a_distribution_count_systems_and_limits_on_its_width_do_not(evidence):
     assert set(evidence.violations) == {"limit 0", "limit 2"}
-
-
-# --- Correlated distributions ----------------------------------------------------------------------------------------
-
-THETA_STD, SHIFT_STD, BOUND = 0.1, 0.2, 2.0
-
-
-@pytest.mark.slow
-def test_a_robust_design_and_its_evidence_know_the_correlation():
-    """More germ variables than one stand behind a number."""
-    correlation = -0.8
-    distributions = al.correlated(
-        {"theta": al.Normal(1.0, THETA_STD), "shift": al.Normal(0.0, SHIFT_STD)}, {("theta", "shift"): correlation}
-    )
-    problem = al.Problem(
-        Gain(al.Decision(0.5, 0.0, 10.0), distributions["theta"], distributions["shift"]),
-        grid=ONE_STEP,
-        minimize=LOSS.mean,
-        subject_to=[RESPONSE.at_most(BOUND, sigmas=1.0)],
-        expansion=al.Expansion(2),
-    )
-
-    def std(gain):
-        return np.sqrt(gain**2 * THETA_STD**2 + SHIFT_STD**2 + 2 * gain * correlation * THETA_STD * SHIFT_STD)
-
-    solution = al.solve(problem)
-    exact = optimize.brentq(lambda gain: gain + std(gain) - BOUND, 0.0, 3.0, xtol=1e-13)
-    assert solution.decisions["gain"] == pytest.approx(exact, rel=1e-7)
-    evidence = al.validate(solution, 20_000, seed=4)
-    # The response is normal and its mean one standard deviation below the bound.
-    violation = evidence.violations["response"]
-    assert violation.lower <= stats.norm.sf(1.0) <= violation.upper
-    assert float(evidence.functionals["response(t_f)"].std) == pytest.approx(std(exact), rel=0.02)

@@ -5,14 +5,13 @@ from concurrent.futures import Executor
 
 import numpy as np
 import pytest
-from decaying_problems import decaying_problem, rooted_problem
+from decaying_problems import decaying_problem
 
 import aleator as al
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 from aleator.validation import Evidence, _validate
-from aleator.validation._batches import folds
 from executors import AsProcesses
 
 SAMPLES = 3000
@@ -63,6 +62,7 @@ def test_stretches_are_the_whole_sample_in_order():
         assert before in {*ends, 0}
 
 
+@pytest.mark.slow
 def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeypatch: pytest.MonkeyPatch):
     stored = al.validate(solution, SAMPLES, batch=100, keep=150)
     monkeypatch.setattr(_validate, "_MANY", 0)
@@ -77,23 +77,6 @@ def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeyp
     assert [one.values.tobytes() for one in folded.trajectories] == [
         one.values.tobytes() for one in stored.trajectories
     ]
-
-
-def test_only_what_can_be_told_instant_by_instant_is_folded():
-    assert folds(decaying_problem())
-    at_peak = al.peak("x").at_most(2.0, sigmas=1)
-    product = al.path("x").mean * al.path("x").mean <= 9.0
-    assert not folds(decaying_problem(at_peak))
-    assert not folds(decaying_problem(product))
-    assert not folds(decaying_problem(integrator=al.integrators.Tsit5()))
-
-
-@pytest.mark.slow
-def test_a_system_that_is_not_finite_is_named_where_it_is_folded(folded: None):
-    with pytest.warns(al.ExpansionWarning, match="does not resolve"):
-        rooted = al.solve(rooted_problem(), throw=False, between=1)
-    with pytest.raises(al.SimulationError, match=r"rate=0\.[0-4].*output 'root'"):
-        al.validate(rooted, SAMPLES, keep=0)
 
 
 def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(

@@ -130,15 +130,3 @@ def test_affine_blocks_have_rows_and_slopes_without_a_program():
     np.testing.assert_array_equal(rows, np.broadcast_to([[[one, 1.0]] for one in outer[:, 0]], (3, 2, 2)))
     for i, j in np.ndindex(3, 2):
         np.testing.assert_allclose(slopes[i, j], [outer[i, 1], inner[j, 0], 1.0], rtol=1e-14)
-
-
-def test_many_blocks_are_left_to_a_compiler():
-    family = Family(lambda d, _, s, o: d * o, np.arange(0), np.zeros((11_000, 1, 3)), np.ones((11_000, 3)))
-    depends = family.dependence
-    assert family.affine(depends.affine, np.flatnonzero(depends.first)) is None
-    same = family._replace(function=lambda d, _, s, o: 2.0 * o)
-    depends = same.dependence
-    rows, slopes = same.affine(depends.affine, np.flatnonzero(depends.first))
-    assert rows.shape == slopes.shape == (11_000, 1, 3)
-    assert not rows.any()
-    assert (slopes == 2.0).all()

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from collocated_problems import robustly_fed, turned
+from collocated_problems import turned
 from scipy.integrate import solve_ivp
 from scipy.sparse.linalg import spsolve
 
 import aleator as al
 from aleator.transcription import transcribe
-from zoo import Tank, block_problem, optimum
+from zoo import Tank, block_problem
 
 
 def test_an_uncertain_mass_spreads_the_end_by_its_own_spread():
@@ -31,11 +31,9 @@ def test_an_uncertain_mass_spreads_the_end_by_its_own_spread():
 
 EFFORT = al.integral("effort").mean
 PROBLEMS = {
-    "a limit with a probability": {"subject_to": [al.terminal("angle").at_least(1.0, probability=0.95)]},
     "a path with a probability": {
         "subject_to": [al.terminal("angle").mean >= 1.0, al.path("angle").at_most(1.06, probability=0.9)]
     },
-    "a worst case": {"subject_to": [al.terminal("angle").at_least(1.0, worst_case=True)]},
     "a spread over time": {"minimize": EFFORT + 1e3 * al.time_integral(al.path("angle").variance)},
 }
 
@@ -86,16 +84,6 @@ def test_the_quadrature_is_exact_up_to_the_order_and_rates_that_are_polynomials_
 
 
 # --- Algebraic variables ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_both_transcriptions_give_the_same_robust_feed():
-    usual, other = (optimum(robustly_fed(50), transcription=one) for one in (al.Sequential(), al.Simultaneous()))
-    assert other.objective == pytest.approx(usual.objective, rel=1e-6)
-    np.testing.assert_allclose(other.decisions["inputs.feed.free"], usual.decisions["inputs.feed.free"], rtol=1e-3)
-    # Both limits bind, so that the design is one for the whole family.
-    rows = usual.transcribed.rows
-    assert all(np.abs(usual.outcome.multipliers[one]).max() > 1e-3 for one in rows)
 
 
 def test_ties_determine_the_hydrogen_of_the_exact_solution():

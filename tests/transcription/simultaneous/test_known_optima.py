@@ -5,11 +5,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from collocated_problems import Regulated, VanDerPol
+from collocated_problems import Regulated
 from scipy.optimize import brentq
 
 import aleator as al
-from zoo import Launched
 from zoo import optimum as found
 
 GRAVITY = 9.80665
@@ -56,36 +55,6 @@ def test_brachistochrone():
     assert optimum(problem, al.schemes.GaussLegendre(2)) == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.slow
-def test_bryson_and_denham():
-    """Bryson, Denham and Dreyfus 1963: 4 / (9 l), with forces that are linear between thirds of the time."""
-    limit, pieces = 1 / 9, 60
-    problem = al.Problem(
-        Launched(speed=1.0),
-        grid=al.Grid(1.0, pieces),
-        inputs={"force": spline(np.zeros(pieces + 1))},
-        minimize=0.5 * al.integral("effort").mean,
-        subject_to=[
-            al.terminal("x").mean.equals(0.0),
-            al.terminal("v").mean.equals(-1.0),
-            al.path("x").at_most(limit),
-        ],
-    )
-    assert optimum(problem, al.schemes.HermiteSimpson()) == pytest.approx(4 / (9 * limit), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_van_der_pol():
-    pieces = 100
-    problem = al.Problem(
-        VanDerPol(),
-        grid=al.Grid(10.0, pieces),
-        inputs={"u": al.Control(0.0, -1.0, 1.0, degree=1)},
-        minimize=al.integral("cost").mean,
-    )
-    assert optimum(problem, al.schemes.HermiteSimpson()) == pytest.approx(2.87330, abs=1.5e-5)
-
-
 def regulated(intervals: int, duration: float) -> al.Problem:
     """Its optimal control is so close to a polynomial that the scheme's errors are all that is left."""
     return al.Problem(
@@ -99,14 +68,12 @@ def regulated(intervals: int, duration: float) -> al.Problem:
 CONVERGING = {
     "Hermite and Simpson": (al.schemes.HermiteSimpson(), (4, 8)),
     "Radau, three stages": (al.schemes.Radau(3), (4, 8)),
-    "Gauss, two stages": (al.schemes.GaussLegendre(2), (4, 8)),
     "segments of two steps": (al.schemes.MultipleShooting(2), (4, 8)),
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=[pytest.mark.slow] * (i > 0)) for i, one in enumerate(CONVERGING)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONVERGING)
 def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     """The least cost is the solution of Riccati's equation: sinh(w T) / (w cosh(w T) + sinh(w T)), w = sqrt(2)."""
     (scheme, intervals), duration = CONVERGING[name], 2.0
@@ -114,32 +81,3 @@ def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     exact = np.sinh(w * duration) / (w * np.cosh(w * duration) + np.sinh(w * duration))
     first, second = (abs(optimum(regulated(some, duration), scheme) - exact) for some in intervals)
     assert np.log2(first / second) == pytest.approx(scheme.order, abs=0.3)
-
-
-@pytest.mark.slow
-def test_one_uncertain_number_in_two_places_of_a_model_whose_time_is_least():
-    class Decay(al.System):
-        states = ("x",)
-        rate: al.Number
-        gain: al.Number
-
-        def initial(self):
-            return {"x": 1.0}
-
-        def rhs(self, t, z):
-            return (-self.rate * z.x,)
-
-        def outputs(self, t, z):
-            return {"y": self.gain * z.x}
-
-    a = al.Uniform(1.0, half_width=0.2).shared("a")
-    problem = al.Problem(
-        Decay(a, a),
-        grid=al.Grid(al.Decision(1.0, 0.1, 3.0), 10),
-        minimize=al.objectives.final_time(),
-        subject_to=[al.terminal("y").mean <= 0.3],
-    )
-    duration = al.solve(problem, transcription=al.Simultaneous(al.schemes.GaussLegendre(3))).objective
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    rates = 1.0 + 0.2 * nodes
-    assert weights @ (rates * np.exp(-rates * duration)) / 2 == pytest.approx(0.3, rel=1e-6)

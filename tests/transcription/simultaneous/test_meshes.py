@@ -3,14 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from collocated_problems import Swing, VanDerPol
+from collocated_problems import VanDerPol
 
 import aleator as al
 from aleator.trajectories import piecewise_in
 from aleator.transcription import transcribe
 from aleator.transcription.simultaneous._refinement import Drift, Goal, refinement
-from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
-from zoo import optimum
+from aleator.transcription.simultaneous._tiles import EVALUATE
 
 # --- What is refined, and how ----------------------------------------------------------------------------------------
 
@@ -91,27 +90,6 @@ def test_intervals_are_divided_at_a_kink_and_nowhere_else():
     assert solution.mesh_states["w"][0, -1] == pytest.approx((kink**2 + (end - kink) ** 2) / 2, rel=20 * ASKED)
 
 
-@pytest.mark.slow
-def test_errors_are_told_of_each_realisation_and_the_worst_system_by_its_numbers():
-    problem = al.Problem(
-        Swing(damping=al.Uniform(0.5, half_width=0.4), first=1.0),
-        grid=al.Grid(3.0, 8),
-        inputs={"torque": al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))},
-        minimize=al.integral("torque").mean,
-        expansion=al.Expansion(order=1),
-    )
-    found = optimum(problem, transcription=al.Simultaneous())
-    mesh, states = (
-        found.transcribed.meshes_at(found.outcome.point)[-1],
-        found.transcribed.states_at(found.outcome.point),
-    )
-    assert mesh.drifts.shape == (len(states.germs), 8)
-    np.testing.assert_array_equal(mesh.errors, mesh.drifts.max(axis=0))
-    worst = states.germs[np.argmax(mesh.drifts.max(axis=1))]
-    assert mesh.numbers == pytest.approx({"damping": 0.5 + 0.4 * worst[0]})
-    assert f"with damping = {mesh.numbers['damping']:.6g}" in str(mesh)
-
-
 def test_a_mesh_that_does_not_converge_is_told_with_its_place(monkeypatch):
     monkeypatch.setattr("aleator.transcription.simultaneous._transcribed._MOST_MESHES", 2)
     with pytest.warns(al.GridWarning, match=r"mesh does not reach .* from t = .* where 1e-09 is asked"):
@@ -139,21 +117,3 @@ def test_a_control_follows_a_mesh_that_is_refined_for_which_nothing_is_compiled_
     middles = (np.array(control.nodes[1:]) + control.nodes[:-1]) / 2
     expected = first.decisions(outcome.point)[(30 * middles).astype(int)]
     assert finer.decisions(point) == pytest.approx(expected, abs=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", [al.schemes.Radau(3), al.schemes.MultipleShooting(2)], ids=["Radau", "shooting"])
-def test_a_finer_mesh_compiles_nothing(scheme):
-    problem = al.Problem(
-        VanDerPol(),
-        grid=al.Grid(10.0, 10),
-        inputs={"u": al.BSpline(al.Decision(np.zeros(6), -1.0, 1.0))},
-        minimize=al.integral("cost").mean,
-    )
-    first = transcribe(problem, al.Simultaneous(scheme, error=1e-7))
-    outcome = al.solvers.Ipopt().solve(first.program)
-    finer, point = first.refined(outcome.point)
-    before = [one.compilations for one in (EVALUATE, CURVE)]
-    assert len(finer.meshes_at(al.solvers.Ipopt().solve(finer.program).point)) == 2
-    assert finer.refined(point)[1].size > point.size > first.program.start.size
-    assert [one.compilations for one in (EVALUATE, CURVE)] == before

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from collocated_problems import RESTS, Swing, turned
+from collocated_problems import RESTS, turned
 from scipy.integrate import solve_ivp
 
 import aleator as al
@@ -46,32 +46,6 @@ def test_states_and_integrals_are_of_order_4_in_steps_and_in_segments():
     mean = SegmentRate(3)
     assert mean.quadrature.sum() == pytest.approx(1.0, rel=1e-14)
     assert mean.quadrature @ mean.told**3 == pytest.approx(1 / 4, rel=1e-14)
-
-
-@pytest.mark.slow
-def test_a_pole_is_caught_where_single_shooting_fails():
-    """Over 12 s, e^48 of growth: what is simulated in one piece tumbles at every control on the way."""
-    duration = 12.0
-    problem = al.Problem(
-        Swing(gravity=-16.0, first=0.1),
-        grid=al.Grid(duration, 72),
-        inputs={"torque": al.Control(0.0, -500.0, 500.0, degree=1)},
-        minimize=al.integral("effort").mean,
-        subject_to=[al.terminal("angle").mean.equals(0.0), al.terminal("rate").mean.equals(0.0)],
-    )
-    single = al.solve(problem, between=1, throw=False)
-    assert not single.ok
-    assert single.certificate.violation > 1e-4
-
-    def straight(t):
-        return {"angle": 0.1 * (1 - t / duration), "rate": 0.0}
-
-    schemes = al.schemes.MultipleShooting(4), al.schemes.GaussLegendre(3)
-    one, other = (optimum(problem, transcription=al.Simultaneous(scheme, guess=straight)) for scheme in schemes)
-    assert one.outcome.violation < 1e-9
-    assert one.objective == pytest.approx(other.objective, rel=1e-5)
-    # Of the mode that grows, z = v + rate x, the least effort over all time is 2 rate z²; the other one dies out.
-    assert one.objective == pytest.approx(2 * 4.0 * (4.0 * 0.1) ** 2, rel=1e-2)
 
 
 @pytest.mark.slow

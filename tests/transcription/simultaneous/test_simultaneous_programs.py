@@ -17,14 +17,11 @@ def _point_beside(program):
 
 
 DECIDED_KNOTS = free_torque(spans=al.Decision(np.ones(3), 0.2, 5.0))
-DECIDED_END = free_torque(end=(0.0, al.Decision(0.1)))
 PROGRAMS = {
     "Hermite and Simpson": (everything, al.schemes.HermiteSimpson()),
     "decided knots": (lambda: everything(DECIDED_KNOTS), al.schemes.Radau(1)),
-    "an end at a decided speed": (lambda: everything(DECIDED_END), al.schemes.HermiteSimpson()),
     "algebraic variables": (lambda: robustly_fed(4), al.schemes.HermiteSimpson()),
     "statistics over time": (integrated, al.schemes.HermiteSimpson()),
-    "segments with algebraic variables": (lambda: robustly_fed(4), al.schemes.MultipleShooting(2)),
 }
 
 
