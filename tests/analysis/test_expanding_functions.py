@@ -63,6 +63,15 @@ def test_moments_of_few_data_are_theirs_at_every_order_that_they_carry():
     assert float(expanded.kurtosis) == pytest.approx(stats.kurtosis(data**2, fisher=False), rel=1e-12)
 
 
+def test_data_are_sampled_at_their_own_values_and_no_element_divides_them():
+    data = {"x": al.Sample([1.0, 2.0, 3.0])}
+    expanded = al.expand(lambda m: 1 / m["x"], data, al.Expansion(2, points=al.points.OptimalPoints()))
+    inverse = np.array([1, 1 / 2, 1 / 3])
+    assert [float(expanded.mean), float(expanded.std)] == pytest.approx([inverse.mean(), inverse.std()], rel=1e-12)
+    with pytest.raises(al.ProblemError, match=r"MultiElement divides densities; .*Sample for 'x'.*order=2"):
+        al.expand(lambda m: 1 / m["x"], data, al.MultiElement(order=1))
+
+
 def call_by_call(model):
     if model["b"] > 0.15:
         return {"y": np.array([model["u"], np.sin(model["b"])])}

@@ -43,6 +43,10 @@ def test_constraints_say_what_they_bound(constraint, bounds, name, text):
 MODEL = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=HALF_WIDTH))
 
 
+def likely(limit):
+    return al.Problem(MODEL, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[limit])
+
+
 def problem_with(*constraints):
     """A problem with these constraints, moved to an output that it has."""
     here = [one for group in constraints for one in (group if isinstance(group, tuple) else (group,))]
@@ -89,6 +93,8 @@ def test_constraints_on_one_output_that_measure_different_things_are_told_apart(
         (lambda: gain_problem().with_bound("response", (2.0, 3.0)), r"expected one number.*within\(lower, upper\)"),
         (lambda: gain_problem().with_bound("travel", 1.0), r"no constraint 'travel'; expected one of \['response'\]"),
         (lambda: al.Constraint(Y.mean, lower=-np.inf), "bounds nothing"),
+        (lambda: likely(RESPONSE.probability(above=1.0) <= 5), "expected a probability, 0, 1 or from 1e-09"),
+        (lambda: likely(1 - RESPONSE.probability(above=1) >= 1 - 1e-12), "expected a probability, 0, 1 or from 1e-09"),
         (lambda: Y <= 5.0, "differs between realisations: take a statistic of it"),
         (lambda: Y.mean < 1.0, "write <= or >="),
         (lambda: bool(Y.mean), "An expression has no truth value"),

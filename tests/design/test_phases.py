@@ -214,6 +214,10 @@ def test_a_phase_that_never_ends_is_named_with_the_states_that_it_begins_with():
     )
     with pytest.raises(al.SimulationError, match=r"In the phase 'second', Rocket .*never meets 'top'"):
         al.solve(al.Problem(phases, minimize=al.terminal("h").mean))
+    last = al.Phase(Swinging(), al.Grid(until="middle", at_most=0.1, steps=2))
+    with pytest.warns(al.SimulationWarning, match=r"In the phase 'last', Swinging .*never meets 'middle'"):
+        history = al.simulate(al.Phases(first=al.Phase(Swinging(), al.Grid(0.1, 2)), last=last))
+    assert np.isfinite(history["first.v"]).all()
 
 
 def test_phases_that_do_not_fit_together_are_refused_where_they_are_declared():
