@@ -76,6 +76,7 @@ def test_examples_run(example: str, run, capsys):
 # --- The site --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # the site's own libraries are of test-slow
 def test_every_page_is_in_the_navigation_and_links_to_files_that_exist():
     listed = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
     pages = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]
