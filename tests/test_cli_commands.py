@@ -46,6 +46,7 @@ def test_help_and_a_new_study_do_not_wait_for_jax(tmp_path: Path, arguments: lis
 # --- Run and resume --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: Path, finished: Path, nothing_solved):
     Record("bar.py", quick=True).write(finished)
     before = json.loads((finished / "designs.json").read_text())

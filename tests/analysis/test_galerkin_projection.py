@@ -94,6 +94,7 @@ class Root(al.AlgebraicSystem):
         return {"x": rho.x, "square": rho.x**2}
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_is_uniform_gives_the_moments_of_its_integrals_and_their_derivative():
     """`E[f/k] = f/(2h) log((m + h)/(m - h))` and `E[(f/k)²] = f²/((m - h)(m + h))`, here for m = 1, h = 0.5, f = 2."""
 

@@ -48,6 +48,7 @@ def solution():
     return al.solve(farthest())
 
 
+@pytest.mark.slow
 def test_the_angle_of_the_best_mean_less_spread_is_that_which_scipy_finds():
     nodes, weights = np.polynomial.legendre.leggauss(8)
 

@@ -46,6 +46,7 @@ def test_a_system_of_equations_has_its_unknowns_as_outputs_at_one_instant():
     np.testing.assert_allclose(outputs["rod_angle"], [np.arcsin(0.03 * np.sin(0.7) / 0.08)], rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_thousand_points_are_solved_at_once_with_the_derivatives_of_the_closed_form():
     random = np.random.default_rng(5)
     points = random.uniform([0.02, 0.06, -3.0], [0.04, 0.1, 3.0], (1000, 3))

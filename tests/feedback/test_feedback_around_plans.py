@@ -75,6 +75,7 @@ def by_numpy(u, gains, fine=10):
     return mean[0], mean[1], mean[4], np.sqrt(weights @ (y[:, 0] - mean[0]) ** 2 / 2)
 
 
+@pytest.mark.slow
 def test_decided_gains_hold_the_spread_of_a_cart_as_by_numpy():
     decided = steered().decisions
     x, v, effort, spread = by_numpy(decided["inputs.u"], decided["feedback.gains"])

@@ -78,6 +78,7 @@ def test_springs_references_anchors_and_all_kinds_of_joints_are_those_of_mujoco(
     assert robot.limits["about"] == pytest.approx((-np.pi / 2, np.pi / 4))
 
 
+@pytest.mark.slow
 def test_frames_and_turned_inertia_of_a_urdf_are_those_of_mujoco(tmp_path):
     robot = al.foreign.read_urdf(written(tmp_path, ARM), floating=True)
     model = mujoco.MjModel.from_xml_string(_on_a_free_base(urdf_by_mujoco(ARM), tmp_path))

@@ -114,6 +114,7 @@ def states(count):
     return [generator.normal(size=(count, 2)) * scale for scale in (2.0, 4.0, 5.0)]
 
 
+@pytest.mark.slow
 def test_accelerations_of_a_double_pendulum_and_their_derivatives_are_those_of_bodies_and_joints():
     at = states(50)
     (found, slopes), (expected, expected_slopes) = (

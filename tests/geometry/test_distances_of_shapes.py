@@ -47,7 +47,7 @@ CASES = cases(
         (("capsule", "capsule"), 2),
         (("box", "box"), 3),
     ],
-    4,
+    2,
 )
 
 

@@ -36,6 +36,7 @@ def close(found, expected):
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_driven_slider_crank_is_that_of_elimination_by_hand_over_three_turns():
     found = driven_slider_crank()
     expected = by_hand(found)

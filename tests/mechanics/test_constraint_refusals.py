@@ -69,7 +69,7 @@ REFUSED = {
 }
 
 
-COMPILED = ("a complete start", "a dead centre", "a length that ends the way")
+COMPILED = ("redundant constraints", "a complete start", "a dead centre", "a length that ends the way")
 CASES = [pytest.param(name, marks=pytest.mark.slow) if name.startswith(COMPILED) else name for name in REFUSED]
 
 

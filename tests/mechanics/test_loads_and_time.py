@@ -43,6 +43,7 @@ class Gathering(al.Lagrangian):
 MASS = al.processes.signal(lambda t, p: p.first + p.flow * t, first=2.0, flow=1.5)
 
 
+@pytest.mark.slow
 def test_changing_masses_keep_velocity_in_newton_s_equations_and_momentum_in_lagrange_s():
     start, grid = {"x_rate": 3.0}, al.Grid(1.0, 100)
     leaking = simulate(al.ForwardDynamics(Leaking(mass=MASS), start=start), grid)

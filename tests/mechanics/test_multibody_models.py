@@ -137,6 +137,7 @@ def test_quaternions_are_of_length_one_in_outputs_and_their_rates_along_the_sphe
     np.testing.assert_allclose(q_ddot[1:-1], (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_velocities_of_a_prescribed_motion_are_those_of_its_rotation():
     points = 0.4 * np.random.default_rng(4).normal(size=(8, 4)) + np.eye(4)[0]
     found = simulate(al.InverseDynamics(Quaternion(), motion=al.BSpline(points, degree=5)), al.Grid(2.0, 2000))

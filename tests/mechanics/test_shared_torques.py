@@ -118,6 +118,7 @@ def declared(model):
     return al.Problem(al.InverseDynamics(model, motion=LIFT), grid=GRID, minimize=al.terminal("flexor").mean)
 
 
+@pytest.mark.slow
 def test_a_moment_that_no_actuators_make_is_named_with_its_instant_and_realisation():
     declared(Forearm(strongest=125.0))
     short = r"'flexor', 'extensor' cannot make .* 'elbow': at t = 0 s they fall short .* by 0.77"

@@ -34,7 +34,7 @@ def numbers(values):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name == "tolerance analysis"))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("tolerance analysis", "solution by collocation")))
         for name in shown.EVERY
         if name != "expanded function"
     ],

@@ -56,6 +56,7 @@ def test_a_solution_reopens_with_equal_numbers_and_units(tree):
     assert data.attrs["status"] == one.status.value
 
 
+@pytest.mark.slow
 def test_a_solution_by_collocation_reopens_with_states_costates_meshes_and_its_scheme(tree):
     data, found = tree["designs/a∕b"].to_dataset(), given.collocated()
     np.testing.assert_array_equal(data["germ"], found.mesh_states.germs)

@@ -85,6 +85,7 @@ class Halving(Decay):
     events: ClassVar = {"half": al.Event(lambda self, t, z: z.x - 0.5, direction=-1)}
 
 
+@pytest.mark.slow
 def test_data_behind_the_event_that_ends_a_motion_are_refused_by_name():
     """From 1, a half is reached at `log(2) / rate`: 0.693 s at the rate 1, to both sides of which all data are off."""
     grid = al.Grid(until="half", at_most=5.0, steps=40)

@@ -79,6 +79,7 @@ def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeyp
     ]
 
 
+@pytest.mark.slow
 def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
     solution: Solution, travelling: Executor, folded: None
 ):
