@@ -124,7 +124,6 @@ def test_tails_over_elements_are_exact_far_out():
     assert float(expanded.probability(above=4.5)) == pytest.approx(2 * stats.norm.sf(4.5), rel=1e-5)
 
 
-@pytest.mark.slow
 def test_a_quantile_over_elements_grows_with_its_expansion():
     expanded = al.expand(lambda at: jnp.abs(at["x"]), {"x": al.Normal(0.0, 1.0)}, al.MultiElement(order=2, error=1e-2))
 

@@ -44,7 +44,6 @@ def irregular(which):
     return rates
 
 
-@pytest.mark.slow
 def test_values_derivatives_and_their_places_are_those_of_one_equation_after_the_other():
     generator, count = np.random.default_rng(4), 30
     plain = by_number(irregular(generator.integers(0, count, (count, 3))), count)

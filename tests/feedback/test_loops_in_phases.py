@@ -123,7 +123,6 @@ class Lag(al.System):
         return {"x": z.x}
 
 
-@pytest.mark.slow
 def test_collocation_begins_a_phase_with_the_end_of_the_plan_before_it():
     lag, inputs = Lag(al.Uniform(1.0, half_width=0.3)), {"u": al.Tabulated([0.0, 1.0], [2.0, 2.0])}
     loop = al.Feedback(gains=[al.Decision(3.0, 0.0, 10.0)])

@@ -4,6 +4,7 @@ from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from double_pendulum import simulate
 
 import aleator as al
