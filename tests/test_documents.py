@@ -7,7 +7,6 @@ import subprocess
 import sys
 import types
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -92,10 +91,10 @@ def test_every_way_in_which_a_solve_ends_is_on_the_page_of_failures():
     page = (ROOT / "docs/solving.md").read_text(encoding="utf-8").lower()
     against = {
         **dict.fromkeys(("crossed", "extrapolated", "indistinct", "lost", "untrusted"), "a reason"),
-        "between": SimpleNamespace(holds=False),
-        "grid_error": SimpleNamespace(is_usable=False, steps=9),
-        "opinion": SimpleNamespace(broken="a limit", samples=9, remedy="Raise the order"),
-        "worst_case": SimpleNamespace(is_found=False, rounds=1, realisations=[SimpleNamespace(beyond=0.1)]),
+        "between": types.SimpleNamespace(holds=False),
+        "grid_error": types.SimpleNamespace(is_usable=False, steps=9),
+        "opinion": types.SimpleNamespace(broken="a limit", samples=9, remedy="Raise the order"),
+        "worst_case": types.SimpleNamespace(is_found=False, rounds=1, realisations=[types.SimpleNamespace(beyond=0.1)]),
     }
     quality = al.results.ExpansionQuality(3, 4, 12, 1.0)
     certificates = [al.results.Certificate(0.0, 0.0, 0.0, quality, **{name: one}) for name, one in against.items()]

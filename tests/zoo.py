@@ -99,12 +99,6 @@ class Hardening(al.AlgebraicSystem):
         return {"x": rho.x, "force": self.k * rho.x}
 
 
-def deflection(a):
-    """The real root of `x + x³ = a`, by Cardano."""
-    root = np.sqrt(a**2 / 4 + 1 / 27)
-    return np.cbrt(a / 2 + root) + np.cbrt(a / 2 - root)
-
-
 # --- Over time -------------------------------------------------------------------------------------------------------
 
 

@@ -109,6 +109,14 @@ def test_limits_that_make_no_sense_are_refused_in_words(wrong, message):
         wrong()
 
 
+def test_bounds_of_probabilities_are_judged_without_factors_and_constants():
+    rare = RESPONSE.probability(above=3.0)
+    for limit in (al.Constraint(1 - rare, lower=0.999), 1 - rare >= 1 - 1e-9, 0 * rare <= 5):
+        assert likely(limit).constraints == (limit,)
+    with pytest.raises(al.ProblemError, match="received 5"):
+        likely(al.Constraint(100 * rare + 1, upper=501.0))
+
+
 # --- Statistics of other kinds ---------------------------------------------------------------------------------------
 
 

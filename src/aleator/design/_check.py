@@ -194,11 +194,14 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
 def _check_probabilities(problem: AbstractProblem) -> None:
     """Refuse bounds of a probability that are none, such as percentages, and those smaller than its error."""
     for one in problem.constraints:
-        atoms = one.expression.atoms
-        if not (len(atoms) == 1 and isinstance(atoms[0], Statistic) and isinstance(atoms[0].kind, Probability)):
+        atoms, factors, constant = one.expression.atoms, one.expression.factors, float(one.expression.constant)
+        is_alone = len(atoms) == 1 and isinstance(atoms[0], Statistic) and isinstance(atoms[0].kind, Probability)
+        if not (is_alone and float(factors[0])):
             continue
-        for bound in (float(one.lower) / one.expression.factors[0], float(one.upper) / one.expression.factors[0]):
-            if np.isfinite(bound) and bound not in (0, 1) and not _SURE <= bound <= 1 - _SURE:
+        for bound in ((float(end) - constant) / float(factors[0]) for end in (one.lower, one.upper)):
+            # That of 1 - P has the rounding of 1.
+            is_between = min(bound, 1 - bound) > _SURE - np.finfo(float).eps
+            if np.isfinite(bound) and bound not in (0, 1) and not is_between:
                 raise refusal(f"Bound of '{one}'", f"a probability, 0, 1 or from {_SURE} to 1 - {_SURE}", bound)
 
 

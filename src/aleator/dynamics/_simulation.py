@@ -290,11 +290,12 @@ class Simulation(AbstractPlanned):
 
         - `events`: those without which nothing is known of it.
         """
-        if isinstance(self.grid, Grid) and self.grid.periodic and self.equations is None:
+        repeats = isinstance(self.grid, Grid) and self.grid.periodic
+        if self.equations is None and (repeats or isinstance(self.system, LinkedSystems)):
             return self.declared().explain(events)
         system = self.traced
         if isinstance(system, LinkedSystems):
-            return (self.declared() if self.equations is None else self)._explain_phases(events)
+            return self._explain_phases(events)
         if isinstance(system, AlgebraicSystem):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):

@@ -17,10 +17,11 @@ from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion._basis import AbstractBasis
 from aleator.expansion._collocation import Collocation
-from aleator.uncertainty import AbstractGerm, LegendreGerm
+from aleator.uncertainty import AbstractGerm, LegendreGerm, SampleGerm
 from aleator.uncertainty._measure import recurrence_of
 from aleator.uncertainty._quantiles import tanh_sinh
 
@@ -102,7 +103,14 @@ class Cell:
         return Cell(self.low, at_middle(self.high)), Cell(at_middle(self.low), self.high)
 
     def germs(self, germs: Mapping[str, AbstractGerm]) -> dict[str, AbstractGerm]:
-        """The distributions of the germ variables, conditional on the cell."""
+        """The distributions of the germ variables, conditional on the cell. Raises `ProblemError` for data."""
+        for name, germ in germs.items():
+            if isinstance(germ, SampleGerm):
+                count = germ.values.size
+                raise ProblemError(
+                    f"al.MultiElement divides densities; received an al.Sample for '{name}', whose {count} values are "
+                    f"exact by al.Expansion(order={count - 1}). For others between, fit a density."
+                )
         limits = zip(germs.items(), self.low, self.high, strict=True)
         return {name: restricted(germ, low, high) for (name, germ), low, high in limits}
 

@@ -309,7 +309,7 @@ def _induced(
     """Quantiles of the densities `p_degree^2 f` of one variable, each at its own degree and level.
 
     A Gauss rule gives their masses around its roots exactly; within a cell the distribution is taken as uniform. The
-    weights of the points correct this small error.
+    weights of the points correct this small error. Of data, they are the nearest of these.
     """
     roots, _ = germ.gauss(2 * highest + _FINE)  # of data, at most their distinct values
     polynomials = germ.polynomials(len(roots) - 1, roots)

@@ -20,7 +20,7 @@ from aleator.expansion._collocation import ROUNDING, UNRESOLVED, leave_one_out
 from aleator.expansion._elements import Cell, PiecewiseBasis
 from aleator.expansion._expansion import Discretisation, Expansion, collocate
 from aleator.expansion._fit import Respond, responses
-from aleator.uncertainty import AbstractGerm, SampleGerm
+from aleator.uncertainty import AbstractGerm
 
 # Fresh points at a time for checking elements with small errors: their own samples cannot show a jump or a spike
 # between them.
@@ -138,7 +138,6 @@ class Refinement:
     ):
         self._respond, self._settings, self._expansion = respond, settings, Expansion(settings.order)
         self.germs, self._fresh_points = germs, fresh_points
-        _refuse_data(germs)
         self.elements: list[Element] = []
         self.splits: list[str] = []
         self.calls = 0
@@ -249,20 +248,10 @@ def _direction(worst: Element) -> int:
     return int(np.argmax(parts if parts.max() > 0 else np.subtract(worst.cell.high, worst.cell.low)))
 
 
-def _refuse_data(germs: Mapping[str, AbstractGerm]) -> None:
-    for name, germ in germs.items():
-        if isinstance(germ, SampleGerm):
-            raise ProblemError(
-                f"al.MultiElement divides densities; received an al.Sample for '{name}', whose {germ.values.size} "
-                f"values are exact by al.Expansion(order={germ.values.size - 1}). For others between, fit a density."
-            )
-
-
 def collocate_elements(
     germs: Mapping[str, AbstractGerm], settings: MultiElement, cells: tuple[Cell, ...]
 ) -> Discretisation:
     """The polynomials of some cells, and the points of all of them with the map to coefficients."""
-    _refuse_data(germs)
     each = [collocate(cell.germs(germs), Expansion(settings.order)) for cell in cells]
     basis = PiecewiseBasis(germs, cells, tuple(one.basis for one in each))
     return Discretisation(basis, basis.joined([one.collocation for one in each]))

@@ -69,7 +69,7 @@ UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 20
 # Iterations from an answer to a close one with peaks limited.
 _MOST_STEPS = 20
-# Iterations to a design that meets the limits, or to the least excess.
+# Iterations to a design that meets the limits, or to the least excess, however few the search itself was allowed.
 _MOST_TO_LIMITS = 200
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
@@ -205,7 +205,6 @@ class Stages(NamedTuple):
             return outcome
         if transcribed.scenarios is not None:
             simulated = simulated.at_scenarios(transcribed.scenarios)
-        # As many iterations as it takes, however few the search was allowed.
         solver = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS)
         groups, program = rows_by_name(simulated), simulated.program
         least = least_excess(solver, program, groups, (), range(len(groups)), [program.start])
@@ -269,9 +268,9 @@ class Stages(NamedTuple):
         if factor == 1 or not self.judges_between(transcribed.problem):
             return held._replace(check=check)
         between, shifts = excess_between(check)
+        held, loosest = held._replace(between=between, check=check), outcome.evaluation.objective
         if between.is_coarse and not self.keeps_grid:
-            return held._replace(between=between, check=check)
-        loosest, held = outcome.evaluation.objective, held._replace(between=between, check=check)
+            return held
         if HELD < between.worst < np.inf:
             held = self._with_peaks(held, loosest, None, factor)
             outcome = held.outcome

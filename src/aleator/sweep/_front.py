@@ -38,14 +38,14 @@ def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tu
 
     These are points without an optimum beside one that has one (behind another without, limits are tighter still, or it
     is bettered first), those worse than a tighter neighbour, whose design is theirs too, and those worse than the
-    neighbour's optimum, moved by the mean of both slopes. `relaxing`: 1 if a larger bound is a weaker
-    one, -1 if a smaller one is, 0 if neither; `size`: the largest objective on the front.
+    neighbour's optimum, moved by the mean of both slopes. `relaxing`: 1 if a larger bound is a weaker one, -1 if a
+    smaller one is, 0 if neither; `size`: the largest objective on the front.
     """
     ordered = sorted(places)
     for i, place in enumerate(ordered):
         for side in (ordered[:i][::-1], ordered[i + 1 :]):
-            is_open = np.isnan(place.objective)
-            neighbour = next((one for one in side[: 1 if is_open else None] if not np.isnan(one.objective)), None)
+            near = side[:1] if np.isnan(place.objective) else side
+            neighbour = next((one for one in near if not np.isnan(one.objective)), None)
             if neighbour is not None and _is_doubtful(place, neighbour, relaxing, size):
                 yield place.bound, neighbour.bound
 
