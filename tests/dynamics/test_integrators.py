@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import aleator as al
+from aleator.dynamics import Asked, simulation_of
 from compiling import compiled
 from zoo import Decay, Oscillator, cases, derivative_error
 
@@ -277,3 +278,22 @@ def test_adaptive_integration_that_fails_gives_no_number(system, end, steps, mes
     with pytest.warns(al.SimulationWarning, match=message):
         outputs = al.simulate(system, al.Grid(end, 4), integrator=al.integrators.Tsit5(max_steps=steps))
     assert np.isnan(next(iter(outputs.values()))).all()
+
+
+def test_derivatives_by_many_decisions_are_those_of_the_pendulum_alone():
+    # An output of the input alone is the same in all realisations, and so are its derivatives.
+    grid = al.Grid(2.0, 20)
+
+    def motion(points, damping):
+        inputs = {"push": al.BSpline(points)}
+        record = simulation_of(Pendulum(damping, points[0]), grid, inputs, None).declared().record
+        asked = Asked(frozenset({"angle", "energy"}), integrands=(lambda now: now["u"] ** 2,), integrated=({"u"},))
+        few, all_of_them = (record(asked._replace(directions=n)) for n in (12, 0))
+        return [[*one.history.values(), *one.integrals] for one in (few, all_of_them)]
+
+    every = jax.vmap(motion, (None, 0))
+    points, dampings = jnp.linspace(0.5, -0.3, 12), jnp.array([0.2, 0.4])
+    for few, all_of_them in every(points, dampings), jax.jacfwd(every)(points, dampings):
+        assert len(few) == 3
+        for one, other in zip(few, all_of_them, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)

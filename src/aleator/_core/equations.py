@@ -116,12 +116,12 @@ def with_slope(function: Callable[..., Any], slope: Callable[..., Any], paramete
         parameters, state = eqx.combine(numbers, rest)
         value = evaluated(numbers)
         changes = [
-            None if part is None else np.zeros(part.shape) if change is None or _is_still(change) else change
+            None if part is None else np.zeros(part.shape) if change is None or is_still(change) else change
             for part, change in zip(state, of_state, strict=True)
         ]
         change = slope(parameters, value, state, changes)
-        if not all(map(_is_still, jax.tree.leaves(of_parameters, is_leaf=_is_still))):
-            along = jax.tree.map(lambda at, by: jnp.zeros_like(at) if _is_still(by) else by, numbers[0], of_parameters)
+        if not all(map(is_still, jax.tree.leaves(of_parameters, is_leaf=is_still))):
+            along = jax.tree.map(lambda at, by: jnp.zeros_like(at) if is_still(by) else by, numbers[0], of_parameters)
             direct = jax.jvp(lambda at: function(eqx.combine(at, rest[0]), *state), (numbers[0],), (along,))[1]
             change = jax.tree.map(jnp.add, change, direct)
         return value, change
@@ -134,7 +134,7 @@ def _is_differentiable(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.inexact)
 
 
-def _is_still(change: Any) -> bool:
+def is_still(change: Any) -> bool:
     return isinstance(change, SymbolicZero)
 
 

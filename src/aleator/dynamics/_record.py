@@ -4,16 +4,20 @@ depend only on the inputs there.
 
 import math
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer, eval_jaxpr
+from jax.flatten_util import ravel_pytree
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import Pytree
-from aleator._core.equations import with_slope
+from aleator._core.equations import TracedFunction, derived, is_still
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import derivative, derivative_and_observation, initial_state, observation
@@ -46,7 +50,8 @@ class Asked(NamedTuple):
       the outputs at these; `multipliers`: whether the monodromy matrix of a cycle is;
     - `courses`: by phase (`""` where there are none), the states, side by side, from which each of so many equal parts
       of its time is simulated, or all of it where an event ends it; None for one simulation from the first instant.
-      Integrators are asked for one part at a time.
+      Integrators are asked for one part at a time;
+    - `directions`: in so many the record is differentiated at once.
     """
 
     instants: frozenset[str] | None = None
@@ -59,6 +64,7 @@ class Asked(NamedTuple):
     events: frozenset[str] = frozenset()
     at_events: frozenset[str] = frozenset()
     multipliers: bool = False
+    directions: int = 0
 
     @property
     def outputs(self) -> frozenset[str] | None:
@@ -95,8 +101,14 @@ class Asked(NamedTuple):
         self, system: System, t: Any, z: Any, now: dict[str, Array]
     ) -> tuple[Any, tuple[Array, ...], dict[str, Array]]:
         """The rates of the states, the integrands, and what is recorded at an instant of the grid."""
-        slopes, outputs = derivative_and_observation(system, t, z, now)
-        return slopes, tuple(one(outputs) for one in self.integrands), self._recorded(system, z, outputs)
+
+        def at(
+            system: System, t: Any, z: Any, now: dict[str, Array]
+        ) -> tuple[Any, tuple[Array, ...], dict[str, Array]]:
+            slopes, outputs = derivative_and_observation(system, t, z, now)
+            return slopes, tuple(one(outputs) for one in self.integrands), self._recorded(system, z, outputs)
+
+        return self._through_states(at, system, t, z, now)
 
     def _recorded(self, system: System, z: Any, outputs: dict[str, Array]) -> dict[str, Array]:
         recorded = chosen(system, outputs, self.instants)
@@ -113,10 +125,20 @@ class Asked(NamedTuple):
 
     def slopes(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Any, tuple[Array, ...]]:
         """The rates of the states, and the integrands, at one time."""
-        if not self.integrands:
-            return derivative(system, t, z, now), ()
-        slopes, outputs = derivative_and_observation(system, t, z, now)
-        return slopes, tuple(one(outputs) for one in self.integrands)
+
+        def at(system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Any, tuple[Array, ...]]:
+            if not self.integrands:
+                return derivative(system, t, z, now), ()
+            focused = system.focused(frozenset().union(*self.integrated))
+            slopes, outputs = derivative_and_observation(focused, t, z, now)
+            return slopes, tuple(one(outputs) for one in self.integrands)
+
+        return self._through_states(at, system, t, z, now)
+
+    def _through_states(self, at: Take, system: System, t: Any, z: Any, now: dict[str, Array]) -> Pytree:
+        """What is taken at one time: of more states than directions, there are no fewer numbers that change."""
+        few = sum(map(jnp.size, jax.tree.leaves(z))) < self.directions
+        return by_few_numbers(at, self.directions if few else 0, system, t, z, now)
 
 
 ONLY_STATES = Asked(frozenset(), states=True)
@@ -233,11 +255,11 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     """
 
     def over(known: Known, take: Take) -> Pytree:
-        def one(realised: System, row: Array) -> Pytree:
+        def at(realised: System, row: Array) -> Pytree:
             t, now = known.unpack(row)
             return take(realised, t, initial_state(realised, t, now), now)
 
-        return at_each_instant(one, system, known.rows)
+        return jax.vmap(lambda row: by_few_numbers(at, asked.directions, system, row))(known.rows)
 
     history = over(known_at(inputs, grid), asked.at_instant)
     if not (asked.nodes or asked.integrands):
@@ -255,22 +277,40 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     return Record(history, nodes, integrals)
 
 
-def at_each_instant(
-    function: Callable[[Any, Array], Pytree], parameters: Pytree, known: Float[Array, "instants numbers"]
-) -> Pytree:
-    """`function(parameters, row)` at every instant: arrays with a leading axis of instants.
-
-    However many decisions there are, they act on an instant only through its few numbers. The derivatives with respect
-    to these numbers are computed once and multiplied by the numbers' own derivatives: the chain rule in the order that
-    is cheap for many decisions.
+def by_few_numbers(function: Callable[..., Pytree], directions: int, *arguments: Pytree) -> Pytree:
+    """`function(*arguments)`, whose derivatives in many `directions` are those by the numbers that change, if these are
+    fewer, multiplied by how they change: the chain rule in the order that is cheap for many decisions.
     """
+    traced = TracedFunction(function, *arguments) if directions else None
+    if traced is None or any(isinstance(one, Tracer) for one in traced.closed.consts):
+        return function(*arguments)
+    equations = traced.closed.jaxpr
+    sources = [dce_jaxpr(equations, [*row])[1] for row in np.eye(len(equations.outvars), dtype=bool)]
+    results = partial(eval_jaxpr, equations, traced.closed.consts)
 
-    def every(parameters: Pytree, rows: Array) -> Pytree:
-        return jax.vmap(lambda row: function(parameters, row))(rows)
+    def tangent(numbers: tuple[Array, ...], changes: tuple[Any, ...]) -> tuple[list[Array], list[Array]]:
+        changing = [i for i, change in enumerate(changes) if any(each[i] for each in sources) and not is_still(change)]
+        here = [numbers[i] for i in changing]
 
-    def slope(parameters: Pytree, values: Pytree, state: Any, changes: Any) -> Pytree:
-        del values
-        slopes = jax.vmap(jax.jacfwd(lambda row: function(parameters, row)))(*state)
-        return jax.tree.map(lambda slope: jnp.einsum("t...k,tk->t...", slope, *changes), slopes)
+        def of(here: list[Array]) -> list[Array]:
+            every = dict(enumerate(numbers)) | dict(zip(changing, here, strict=True))
+            return results(*every.values())
 
-    return with_slope(every, slope, parameters, known)
+        if sum(map(jnp.size, here)) >= directions:
+            return jax.jvp(of, (here,), ([changes[i] for i in changing],))
+        row, restored = ravel_pytree([jnp.zeros(jnp.shape(one)) for one in here])
+        values, by_number = jax.linearize(of, here)
+        owner = np.repeat(changing, [*map(jnp.size, here)])
+
+        def along(slope: Array, source: list[bool]) -> Array:
+            """Through those numbers alone on which it depends: what is the same for all realisations remains so."""
+            own = [i for i in changing if source[i]]
+            change, _ = ravel_pytree([changes[i] for i in own])
+            return jnp.tensordot(change, slope[np.isin(owner, own)], axes=1)
+
+        return values, [*map(along, jax.vmap(lambda row: by_number(restored(row)))(jnp.eye(row.size)), sources)]
+
+    evaluated = jax.custom_jvp(results)
+    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
+    values = evaluated(*traced.leaves(arguments))
+    return eqx.combine(jax.tree.unflatten(traced.results, values), traced.rest)

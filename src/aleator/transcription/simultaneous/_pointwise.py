@@ -309,7 +309,9 @@ class Pointwise:
     @property
     def _integrated(self) -> Asked:
         each = (lambda now, one=one: one.integrand(named({self.phase: now})) for one in self.integrals)
-        return Asked(frozenset(), integrands=tuple(each))
+        every = (frozenset(one.outputs) for one in self.integrals)
+        own = (within(self.phase, names) if self.phase else names for names in every)
+        return Asked(frozenset(), integrands=tuple(each), integrated=tuple(own))
 
     def _own_duration(self, shared: Array, own: Array) -> Float[Array, ""]:
         """That of a realisation: see `rates`."""
