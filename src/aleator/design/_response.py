@@ -229,9 +229,7 @@ def sample(
 
     - `courses`: the states from which parts of the time are simulated, see `Asked.courses`.
     """
-    asked = asked_for(functionals)._replace(
-        nodes=_outputs(paths), courses=courses, directions=decisions.size
-    )
+    asked = asked_for(functionals)._replace(nodes=_outputs(paths), courses=courses, directions=decisions.size)
     record = realise(problem.simulation, germ, decisions).record(asked)
     return Sampled(
         numbers_of(functionals, taken_from(record, functionals), record.grid),

@@ -271,8 +271,9 @@ class Stages(NamedTuple):
         held, loosest = held._replace(between=between, check=check), outcome.evaluation.objective
         if between.is_coarse and not self.keeps_grid:
             return held
+        has_kinks = False
         if HELD < between.worst < np.inf:
-            held = self._with_peaks(held, loosest, None, factor)
+            held, has_kinks = self._with_peaks(held, loosest, None, factor)
             outcome = held.outcome
             if outcome.status is Status.INTERRUPTED or held.check is not check:
                 return held
@@ -299,11 +300,12 @@ class Stages(NamedTuple):
         between = replace(between, is_strict=is_strict, cost=cost)
         held = held._replace(outcome=answer, between=between, check=check)
         is_tightened = len(rounds) > 1 and best[0] is rounds[-1] and latest.worst <= HELD
-        return self._with_peaks(held, loosest, margins, factor) if is_tightened else held
+        return self._with_peaks(held, loosest, margins, factor)[0] if is_tightened and not has_kinks else held
 
-    def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> Held:
+    def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> tuple[Held, bool]:
         """An answer with peaks limited, and values beside jumps: it does not depend on where the instants are, and its
-        multipliers are slopes of the optimum. The same answer where that is not close by, as where limits have kinks.
+        multipliers are slopes of the optimum. The same answer where that is not close by; and whether limits have
+        kinks, at which steps shrink for ever.
 
         - `margins`: those that hold the answer, None where limits break between the instants.
         """
@@ -321,11 +323,12 @@ class Stages(NamedTuple):
             between, _ = excess_between(check)
             if between.worst <= HELD:
                 between = replace(between, is_strict=True, cost=cost_of_margins(transcribed, margins, loosest, again))
-                return held._replace(outcome=again.with_effort_of(*rounds[:-1]), between=between, check=check)
+                return held._replace(outcome=again.with_effort_of(*rounds[:-1]), between=between, check=check), False
             if not between.holds:
                 break
         interrupted = rounds[-1] if rounds[-1].status is Status.INTERRUPTED else None
-        return held._replace(outcome=interrupted or held.outcome.with_effort_of(*rounds[1:]))
+        outcome = interrupted or held.outcome.with_effort_of(*rounds[1:])
+        return held._replace(outcome=outcome), rounds[-1].status is Status.ITERATION_LIMIT
 
     def _going_on(self, transcribed: AbstractTranscribed, last: Outcome, margins: Margins) -> Outcome:
         """A search from the last one, with limits over time imposed as margins say."""
