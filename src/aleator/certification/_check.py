@@ -182,7 +182,7 @@ def begin_check(
         simulated = simulations.begin(systems)
 
         def result() -> Check:
-            functionals, scope = _expanded(simulations, systems, *simulated())
+            functionals, scope = _expanded(simulations, systems, factor, *simulated())
             return Check(functionals, scope, systems, simulations, factor, departed)
 
         return result
@@ -210,7 +210,7 @@ def begin_check(
 
 @quietly
 def _expanded(
-    simulations: Simulations, systems: FreshSystems, values: Values, nodes: tuple[np.ndarray, ...]
+    simulations: Simulations, systems: FreshSystems, factor: int, values: Values, nodes: tuple[np.ndarray, ...]
 ) -> tuple[dict[AbstractFunctional, Checked], ExpansionScope]:
     """Each functional, and the scope of the expressions, from all that `Simulations.begin` gives."""
     transcribed, problem = simulations.transcribed, simulations.problem
@@ -222,10 +222,11 @@ def _expanded(
         nodes=tuple(collocation.coefficients(one[:count]) for one in nodes),
         realised=tuple(values[one][count + drawn :] for one in functionals),
     )
-    # Of a typical system: the outermost points, whose weights are next to nothing, may exceed it by any factor.
+    # Of a typical system: the outermost points, whose weights are next to nothing, may exceed it by any factor. The
+    # instants of the problem's own grid tell how large it is.
     typical, peaks = np.abs(collocation.weights), {}
     for name in dict.fromkeys(name for one in functionals for name in one.outputs):
-        history = values[history_of(name)][:count]
+        history = values[history_of(name)][:count, ::factor]
         peaks[name] = np.tensordot(typical, np.maximum(history.max(axis=1), -history.min(axis=1)), axes=1)
     grid, matrix = grid_at(problem, decisions), transcribed.basis.matrix(systems.points)
     checked = {

@@ -5,6 +5,7 @@ the Jacobian of the objective and of all constraints come from one compiled func
 decisions are few, from another one. Rows of splines depend on few decisions each, which the Jacobian's sparsity says.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
@@ -199,6 +200,7 @@ class Sequential(AbstractTranscription):
         away = largest_of([one.meaning.constraints for one in seen])
         samples = dict(zip(functionals_of(problem.expressions), at_start.meaning.samples, strict=True))
 
+        @functools.cache
         def std_of(functional: AbstractFunctional) -> Float[np.ndarray, "..."]:
             terms = discretisation.collocation.coefficients(jax_array(samples[functional]))
             return np.asarray(Std().of(terms, ()))
