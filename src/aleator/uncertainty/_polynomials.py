@@ -59,7 +59,7 @@ class AbstractGerm(abc.ABC):
     def gauss(self, count: int) -> tuple[Float[np.ndarray, " count"], Float[np.ndarray, " count"]]:
         """Gauss nodes and probability weights, exact to degree `2 count - 1` (Golub and Welsch, 1969)."""
         a, b = self.recurrence(count - 1)
-        nodes, vectors = np.linalg.eigh(np.diag(a) + np.diag(b[1:], 1) + np.diag(b[1:], -1))
+        nodes, vectors = scipy.linalg.eigh_tridiagonal(a, b[1:])
         return nodes, vectors[0] ** 2
 
 
