@@ -69,6 +69,23 @@ def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: P
     assert told["recalled"] == 2
 
 
+def test_a_run_that_takes_all_from_its_folder_leaves_its_results_as_they_are_if_these_are_whole(
+    finished: Path, nothing_solved
+):
+    def written() -> int:
+        assert aleator("resume", "results").exit_code == 0
+        return (finished / "results.nc").stat().st_ino
+
+    first = written()
+    assert written() == first
+    (finished / "designs.json").unlink()
+    second = written()
+    assert second != first
+    assert (finished / "designs.json").exists()
+    Record("bar.py", quick=True).write(finished)
+    assert written() != second, "other evidence"
+
+
 def test_designs_that_are_infeasible_are_told_among_those_that_are_solved(here: Path):
     text = STUDY[: STUDY.index("study =")] + "weak = problem.with_bound('stress', 0.01)\n"
     (here / "bar.py").write_text(text + "study = al.Study({'impossible': weak, 'robust': problem}, samples=200)\n")

@@ -10,11 +10,12 @@ from typing import Any, final
 
 from aleator._core.border import one_of
 from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.identity import joined
 from aleator.cli._folder import RECORD, Record, is_stale
 from aleator.cli._interruption import Interruptions
 from aleator.cli._terminal import FAILED, USAGE, Terminal, shown
 from aleator.journalling import Journal, journal
-from aleator.reporting import PAGE, by_place, check_writable, designs_document, only_writer, save_study, words
+from aleator.reporting import KINDS, PAGE, by_place, check_writable, designs_document, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, Draft
 from aleator.sweep import Front, point_name
@@ -59,12 +60,12 @@ def executed(
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
-                record.write(folder)
+                record = record.write(folder)
         except ProblemError as error:
             terminal.complain("error", error)
             return USAGE
         try:
-            code = course.execute(Draft(study), folder, results)
+            code = course.execute(Draft(study), folder, results, record)
             if taken := len(results.taken):
                 subject = "1 result was" if taken == 1 else f"{taken} results were"
                 hint = "" if afresh is None else "; --afresh computes anew"
@@ -93,9 +94,9 @@ class _Course:
         self._paths, self._complaints = list[Path](), list[str]()
         self._mistake: Exception | None = None
 
-    def execute(self, page: Draft, folder: Path, results: Journal) -> int:
+    def execute(self, page: Draft, folder: Path, results: Journal, record: Record | None) -> int:
         """Run the chapter, save its results, write the page, and print the tables; returns the exit code."""
-        self._folder, self._journal, self._page = folder, results, page
+        self._folder, self._journal, self._page, self._record = folder, results, page, record
         self._begin_step()
         with self._terminal.warning():
             code = self._run_through(page)
@@ -219,7 +220,9 @@ class _Course:
 
     def _save(self, page: Draft) -> None:
         self._name_results(page)
-        self._paths = page.save(self._folder)
+        contents = self._journal.contents()
+        follows = self._record is not None and all(isinstance(one, KINDS) for one in by_place(page.kept).values())
+        self._paths = page.save(self._folder, joined([f"{self._record!r}", contents]) if follows and contents else "")
 
     def _write_page(self, page: Draft) -> None:
         """Write the page, never beside results of an earlier run."""

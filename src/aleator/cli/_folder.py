@@ -95,8 +95,11 @@ class Record:
         bound = f" --bound {self.bound}" if self.bound else ""
         return f"aleator {self.command} {self.study}{bound}{f' --design {self.design}' if self.design else ''}"
 
-    def write(self, folder: Path) -> None:
-        """Note it in the run's folder, with the places from which the study can be found again, and its source."""
+    def write(self, folder: Path) -> "Record":
+        """Note it in the run's folder, with the places from which the study can be found again, and its source.
+
+        Returns it with these.
+        """
         beside = ""
         if self.is_file:
             with suppress(ValueError):  # on another drive of Windows
@@ -104,6 +107,7 @@ class Record:
         noted = replace(self, directory=str(Path.cwd()), beside=beside, source=_source(self.study))
         text = json_text({"command": self.command, **asdict(noted)})
         write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
+        return noted
 
 
 def folder_of(study: str) -> Path:

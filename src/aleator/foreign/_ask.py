@@ -27,11 +27,9 @@ if TYPE_CHECKING:
 NUMBER = "sample"
 """The column with the numbers of samples, from 1 on."""
 
-# Inputs may be rounded to this part of their range, as spreadsheets do (15 digits), or to six digits: by this part of
-# the number, and by this part of the range, as long as each row belongs to one point alone.
-_ROUNDED = 1e-9
-_SIX_DIGITS = 5.000001e-6
-_OF_RANGE = 1e-3
+# Inputs may be rounded to six digits: by this part of the number, and no more than this part of the range; and by this
+# part of the largest number, as spreadsheets round (15 digits).
+_SIX_DIGITS, _OF_RANGE, _ROUNDED = 5.000001e-6, 1e-3, 1e-9
 
 # Columns of a table that may have texts, which nobody reads here.
 _COMMENTS = ("comment", "comments")
@@ -97,37 +95,20 @@ def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
 
 
 def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray], numbers: np.ndarray) -> None:
-    """Refuse inputs that differ from those that were asked for, and rounded ones that might be those of two samples."""
-    names = [name for name in points if name in named]
-    for name in names:
-        if named[name].ndim != 1:
-            raise border.refusal(f"tell: the input {name!r}", "one number in each row", named[name])
-    if not names:
-        return
-    received = np.stack([named[name] for name in names], axis=1)
-    asked = np.stack([points[name] for name in names], axis=1)
-    allowed = np.stack([_to_six_digits(points[name]) for name in names], axis=1)
-    wrong = ~(np.abs(received - asked[numbers]) <= allowed[numbers])
-    if wrong.any():
-        row, column = np.argwhere(wrong)[0]
-        raise ProblemError(
-            f"tell: expected {names[column]} = {float(asked[numbers[row], column])!r} at sample {numbers[row] + 1}, as "
-            f"asked; received {float(received[row, column])!r} ({wrong.any(axis=1).sum()} of {len(wrong)} rows "
-            "differ). Were points changed or rows reordered? Ask again, or answer the points that were asked."
-        )
-    for row in np.flatnonzero((received != asked[numbers]).any(axis=1)):
-        fits = np.all(np.abs(asked - received[row]) <= allowed, axis=1)
-        if np.any(fits & np.any(asked != asked[numbers[row]], axis=1)):
+    """Refuse inputs that differ from those that were asked for."""
+    for name in (name for name in points if name in named):
+        received, asked = named[name], points[name][numbers]
+        if received.ndim != 1:
+            raise border.refusal(f"tell: the input {name!r}", "one number in each row", received)
+        span, largest = np.ptp(points[name]), np.abs(points[name]).max()
+        allowed = np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * span), _ROUNDED * max(span, largest))
+        wrong = np.flatnonzero(~(np.abs(received - asked) <= allowed))
+        if len(wrong):
             raise ProblemError(
-                f"tell: expected inputs with more digits; those of sample {numbers[row] + 1} are rounded so that they "
-                "fit another sample too."
+                f"tell: expected {name} = {float(asked[wrong[0]])!r} at sample {numbers[wrong[0]] + 1}, as asked; "
+                f"received {float(received[wrong[0]])!r} ({len(wrong)} of {len(asked)} rows differ). Were points "
+                "changed or rows reordered? Ask again, or answer the points that were asked."
             )
-
-
-def _to_six_digits(asked: np.ndarray) -> Float[np.ndarray, " n"]:
-    """How far each input in a table may be from the one that was asked for."""
-    least = _ROUNDED * max(np.ptp(asked), np.abs(asked).max())
-    return np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * np.ptp(asked)), least)
 
 
 def _rows_of(name: str, values: Any) -> np.ndarray:

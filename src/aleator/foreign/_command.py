@@ -183,7 +183,7 @@ def _numbers(text: str, source: str) -> Pytree:
 def _parsed(text: str) -> Any:
     """What JSON says; None for anything else."""
     try:
-        return json_of(text, object_pairs_hook=_once_each)
+        return json_of(text)
     except ValueError:
         return None
 
@@ -195,15 +195,6 @@ def _rank(line: str) -> int:
     if line.startswith("{"):
         return 2
     return int(line == "[" or isinstance(_parsed(line), list))
-
-
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON. Raises `SimulationError` for a name that it has twice."""
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise SimulationError(f"expected each output once; received {name!r} twice")
-    return dict(pairs)
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:
