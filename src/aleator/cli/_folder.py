@@ -189,14 +189,11 @@ def recorded(folder: Path) -> Record:
 
 def _read(folder: Path) -> Record:
     """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
-    path, kinds = folder / RECORD, {"quick": bool, "workers": int, "values": list}
+    path = folder / RECORD
     try:
         data = json_of(content_of(path))
-        noted = {field.name: data[field.name] for field in fields(Record)}
-        for name, value in noted.items():
-            if not isinstance(value, kinds.get(name, str)):
-                raise TypeError(f"{name} = {value!r}")
-        return Record(**{**noted, "values": tuple(map(float, noted["values"]))})
+        noted = {field.name: type(field.default)(data[field.name]) for field in fields(Record)[1:]}
+        return Record(f"{data['study']}", **{**noted, "values": tuple(map(float, data["values"]))})
     except FileNotFoundError:
         raise ProblemError(
             f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "

@@ -18,7 +18,7 @@ import jax.scipy.special  # The text names it.
 import numpy as np
 from jaxtyping import Array
 
-from aleator._core.border import meant, refusal, shown
+from aleator._core.border import meant, one_of, refusal, shown
 from aleator._core.errors import ProblemError, optional
 from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
@@ -210,12 +210,9 @@ def refuse_unknown(what: str, symbols: Iterable[Any], known: Collection[Any]) ->
 
 def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str, str], ...]:
     """Units of outputs. Raises `ProblemError` for units of anything else."""
-    given = {} if units is None else units
-    if not isinstance(given, Mapping) or not all(isinstance(text, str) for text in (*given, *given.values())):
-        raise refusal(f"{who}: units", "units as texts by output, in a dict", units)
-    for name in given:
-        if name not in outputs:
-            raise ProblemError(f"{who}: units has '{name}', which is no output.{meant(name, outputs)}")
+    given = one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}")
+    if unknown := [name for name in given if name not in outputs]:
+        raise ProblemError(f"{who}: units has {unknown[0]!r}, which is no output.{meant(f'{unknown[0]}', outputs)}")
     return tuple(given.items())
 
 

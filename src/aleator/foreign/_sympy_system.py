@@ -9,7 +9,6 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.border import refusal
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type
@@ -136,8 +135,6 @@ def from_sympy(
     }
     given = symbols_given(f"{_WHO}: numbers", numbers)
     states, size = tuple(rates), len(rates)
-    if not states:
-        raise ProblemError(f"{_WHO}: expected the rate of one state at least; received none.")
     if mass_matrix is not None and getattr(mass_matrix, "shape", None) != (size, size):
         raise refusal(
             f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", mass_matrix
@@ -154,12 +151,6 @@ def from_sympy(
     moving, begins = contents_of(_WHO, [*rates.values(), *mass]), contents_of(f"{_WHO}: start", follow.values())
     shown = contents_of(f"{_WHO}: outputs", formulas.values())
     inputs = [symbol for symbol in dict.fromkeys((*moving.functions, *shown.functions)) if symbol not in states]
-    for symbol in inputs:
-        if symbol in given:
-            raise ProblemError(
-                f"{_WHO}: {symbol} is an input, not one of numbers; give it as a signal: al.Problem(..., "
-                f"inputs={{'{name_of(symbol)}': ...}})."
-            )
     symbols = {*moving.symbols, *shown.symbols, *begins.symbols} - {*states, time}
     parameters = sorted(symbols, key=str)
     names, parameter_names = names_of(_WHO, (*states, *inputs), parameters)
