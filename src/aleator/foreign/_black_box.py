@@ -17,7 +17,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest, own_code
-from aleator.ensemble import AbstractBox, Realisation, absent, as_outputs, name_of, same_shapes
+from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
 from aleator.foreign._command import Command, Isolated, refuse_unsendable
 from aleator.foreign._journal import Journal
 
@@ -116,7 +116,8 @@ class _Campaign:
         self._most, self._whole = 0 if whole else most_of(box.drop, len(realisations)), whole
         self._keys = [box.journal.key(realisation) for realisation in realisations]
         self._failures: dict[int, str] = {}
-        self._first: tuple[Realisation, Pytree] | None = None
+        finished = zip(realisations, self.outputs, strict=True)
+        self._first = next(((one, outputs) for one, outputs in finished if outputs is not None), None)
 
     @property
     def outputs(self) -> list[Pytree | None]:
@@ -129,7 +130,7 @@ class _Campaign:
         Raises `SimulationError` for more failures than may be dropped and for a broken executor, and `ProblemError` if
         no sample could succeed, after what had finished was kept. Warns of those dropped.
         """
-        self._look_at_journal()
+        self._warn_of_others()
         first = {key: i for i, key in reversed([*enumerate(self._keys)]) if self._box.journal.find(key) is None}
         waiting, running, tries = deque(sorted(first.values())), dict[Future[Any], int](), Counter[int]()
         executor, width = (_InTurn(), 1) if executor is None else (executor, _IN_FLIGHT)
@@ -142,7 +143,7 @@ class _Campaign:
                     error, index = _error_of(future), running.pop(future)
                     try:
                         if error is not None:
-                            raise self._failure(index, error) from error
+                            raise self._failure(error) from error
                         self._keep(index, future.result())
                     except SimulationError as failure:
                         tries[index] += 1
@@ -167,23 +168,13 @@ class _Campaign:
         if self._failures:
             warn_of_dropped(self._name, self._realisations, self._failures)
 
-    def _look_at_journal(self) -> None:
-        """Warn of samples of others in the journal. Raises `ProblemError` if some of this box cannot be so."""
+    def _warn_of_others(self) -> None:
         if count := sum(map(self._box.journal.is_of_others, self._keys)):
             warn_outside(
                 f"The journal {self._box.journal.path} has {count} of these samples by another box, or by this one "
                 "before its code, command or version changed: they are not used, and run again.",
                 SimulationWarning,
             )
-        try:
-            for index, outputs in enumerate(self.outputs):
-                if outputs is not None:
-                    self._keep(index, outputs)
-        except SimulationError as error:
-            raise ProblemError(
-                f"{self._name}: the journal has outputs of different shapes: {error}. Its box has changed "
-                "unnoticed: take another file."
-            ) from error
 
     def _keep(self, index: int, returned: Pytree) -> None:
         """Keep what a run returned. Raises `SimulationError` if that is no output."""
@@ -193,16 +184,13 @@ class _Campaign:
         if self._box.journal.find(self._keys[index]) is None:
             self._box.journal.add(self._keys[index], realisation, outputs)
 
-    def _failure(self, index: int, error: BaseException) -> SimulationError:
+    def _failure(self, error: BaseException) -> SimulationError:
         """Why a run failed, in one line. Raises what is wrong with all of them: no sample could succeed."""
         if isinstance(error, SystemExit):
             # A model that ends its own process has failed; it does not end this one.
             return SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
         if isinstance(error, ProblemError) or not isinstance(error, Exception):
             raise error
-        # Once samples have finished, a key that is missing is one of the function's own.
-        if self._first is None and (missing := absent(error, self._realisations[index].model)):
-            raise ProblemError(f"{self._name} asks for {missing}.")
         words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
         raised = "" if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}"
         return SimulationError(raised + words)
@@ -247,10 +235,8 @@ def _submitted(executor: Executor, function: Callable[[Pytree], Pytree], model: 
     model = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
     try:
         return executor.submit(function, model)
-    except BrokenExecutor as error:
+    except RuntimeError as error:  # a broken one, or one that takes no more work
         raise _broken(error) from error
-    except RuntimeError as error:
-        raise ProblemError(f"BlackBox: expected an executor that takes work; it says: {error}.") from error
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aleator._core.border import meant, refusal
+from aleator._core.border import meant, one_of
 from aleator._core.errors import ProblemError
 from aleator.foreign._robot import (
     Robot,
@@ -65,8 +65,7 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
     Raises `ProblemError`, with the file and the element, for what is no URDF, no tree or no possible body.
     """
     left_out = checked_effects("read_urdf", leave_out)
-    if not isinstance(floating, bool):
-        raise refusal("read_urdf: floating", "True or False", floating)
+    one_of("read_urdf: floating", floating, bool)
     root = root_of("read_urdf", path, "robot")
     if any("xacro" in str(element.tag) or "${" in "".join(element.attrib.values()) for element in root.iter()):
         raise broken(path, "", "expected no macros of xacro. Expand them first: xacro FILE > robot.urdf.")
@@ -119,8 +118,7 @@ class _Place(NamedTuple):
         text, found = self.text(attribute), ()
         with contextlib.suppress(ValueError):
             found = tuple(map(float, text.split()))
-        # Python takes 1_000 for a number, and no other reader of these files does.
-        if len(found) != count or "_" in text or not np.isfinite(found).all():
+        if len(found) != count or not np.isfinite(found).all():
             raise self.broken(f"expected {attribute} as finite numbers, {count} of them; received {text!r}.")
         return found
 

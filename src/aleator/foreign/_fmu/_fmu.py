@@ -21,9 +21,6 @@ from aleator.foreign._fmu._library import Library
 # What users call the interfaces, and FMI and its tools do. The first one offered is the default.
 _KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
 _REAL = ("Real", "Float64")  # in FMI 2 and 3
-# What a value of a type is, in words; of others, a whole number.
-_VALUES: dict[str, tuple[str, Any]] = {"Boolean": ("True or False", bool), "String": ("a text", str)}
-_VALUES |= dict.fromkeys((*_REAL, "Float32"), ("a number", (int, float)))
 # As many characters of another library's message are repeated.
 _LONGEST = 160
 
@@ -191,13 +188,9 @@ class Variables:
             raise refusal(self._who, "a list of variables to read, each once", names)
         return self._checked(names, "a variable", lambda _: True)
 
-    def refuse_settings(self, settings: Mapping[str, Any]) -> None:
-        """Raise `ProblemError` for settings that are no values of variables of any type."""
+    def refuse_settings(self, settings: Iterable[Any]) -> None:
+        """Raise `ProblemError` for names that are no variables, of any type, that may be set before the start."""
         self._checked(settings, "a parameter, an input or an initial value", _is_settable, of_any_type=True)
-        for name, value in settings.items():
-            words, kinds = _VALUES.get(self.all[name].type, ("a whole number", int))
-            if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
-                raise refusal(f"{self._who}: '{name}'", words, value)
 
     def nominals(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
         """The usual sizes that variables declare; 1 for others."""

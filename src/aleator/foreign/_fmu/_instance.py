@@ -146,8 +146,6 @@ class Instance:
         self._call("enterEventMode")
         self._update()
         self._call("enterContinuousTimeMode")
-        if self.next_event <= (self._time or 0.0):
-            raise SimulationError(f"FMU '{self.name}' asks for one more event {self._when()}, without end.")
 
     # --- Co-simulation ---
 
