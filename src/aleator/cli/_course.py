@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -73,9 +73,6 @@ def executed(
             return code
         except BrokenPipeError:
             raise
-        except OSError as error:
-            terminal.complain("error", error)
-            return FAILED
         except Exception:  # a mistake in a study's own code, reported already, whose traceback follows
             terminal.print_document(FAILED)
             raise
@@ -101,7 +98,17 @@ class _Course:
         with self._terminal.warning():
             code = self._run_through(page)
         if self._terminal.is_json:
-            self._terminal.note(**self._facts(page), recalled=len(results.taken))
+            kept = by_place(page.kept)
+            self._terminal.note(
+                folder=str(folder),
+                finished=page.finished,
+                files=[str(path) for path in self._paths],
+                title=page.study.title,
+                verdict=page.headline(),
+                designs=designs_document(page.kept),
+                fronts={place: _front_document(one) for place, one in kept.items() if isinstance(one, Front)},
+                recalled=len(results.taken),
+            )
         return code
 
     def _run_through(self, page: Draft) -> int:
@@ -235,20 +242,6 @@ class _Course:
         for path in dict.fromkeys(self._paths):
             if path.exists():
                 self._terminal.tell(f"wrote {path}")
-
-    def _facts(self, page: Draft) -> Mapping[str, Any]:
-        """The run for its JSON document, whatever of it is there."""
-        return {
-            "folder": str(self._folder),
-            "finished": page.finished,
-            "files": [str(path) for path in self._paths],
-            "title": page.study.title,
-            "verdict": page.headline(),
-            "designs": designs_document(page.kept),
-            "fronts": {
-                place: _front_document(one) for place, one in by_place(page.kept).items() if isinstance(one, Front)
-            },
-        }
 
 
 def _front_document(front: Front) -> dict[str, Any]:

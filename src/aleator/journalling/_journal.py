@@ -313,12 +313,8 @@ def _prepare(folder: Path, size: int) -> None:
         place.mkdir(exist_ok=True)
         with suppress(FileNotFoundError):
             os.truncate(folder / FILE, size)
-    except FileExistsError:
-        raise ProblemError(
-            f"'{place}' is a file; expected a folder for finished results. Move it away, or name another folder."
-        ) from None
     except OSError as error:
-        raise ProblemError(f"The folder '{folder}' cannot take a journal ({error.strerror}): name another.") from error
+        raise ProblemError(f"'{place}' cannot take results ({error.strerror}): name another folder.") from error
 
 
 def _state_of(result: Any) -> State:
