@@ -8,7 +8,7 @@ import functools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -221,22 +221,31 @@ def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str
 
 @dataclass(frozen=True)
 class Program:
-    """Some expressions as a function of numbers: `text` defines `value`, which takes a sequence of these."""
+    """Some expressions as a function of numbers: `text` defines `value`, which takes a sequence of these.
+
+    - `names`: those of the expressions, if they have any.
+    """
 
     text: str
+    names: tuple[str, ...] = ()
 
     def __call__(self, values: Any) -> list[Array]:
         """The value of each expression, scalars."""
         return [jnp.asarray(value, dtype=float) for value in _function(self.text)(values)]
 
+    def by_name(self, values: Any) -> dict[str, Array]:
+        """The value of each expression, by its name."""
+        return dict(zip(self.names, self(values), strict=True))
 
-def written(who: str, expressions: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
-    """The program of some expressions as a function of the values of `symbols`, in their order.
+
+def written(who: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
+    """The program of some expressions, or of expressions by name, as a function of the values of `symbols` in order.
 
     Raises `ProblemError` for other symbols, with a `remedy`, for what JAX has no function for, and for numbers that are
     not real and finite.
     """
-    sympy, expressions, symbols = load_sympy(who), list(expressions), list(symbols)
+    sympy, symbols = load_sympy(who), list(symbols)
+    names, expressions = (tuple(given), list(given.values())) if isinstance(given, Mapping) else ((), list(given))
     refuse_others(who, expressions, symbols, remedy)
     # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers. The text has the symbols'
     # places, whatever they are called.
@@ -256,7 +265,7 @@ def written(who: str, expressions: Iterable[Any], symbols: Iterable[Any], remedy
             f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
             "(expression.rewrite(...), .doit()), or write the model as an al.System."
         )
-    return program
+    return replace(program, names=names)
 
 
 def _program(expressions: Sequence[Any]) -> Program:

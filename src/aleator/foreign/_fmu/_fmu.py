@@ -67,13 +67,13 @@ class Fmu:
         self._version, self._indicators = description.fmiVersion, int(description.numberOfEventIndicators)
         self.is_exchange = self.kind == "model exchange"
         self.states = self.variables.states() if self.is_exchange else []
-        self._given = path.absolute(), self.kind, tuple(settings.items()), own_process, limit
+        self._given = path.absolute(), tuple(settings.items()), self.kind, own_process, limit
         opening = self.name, str(folder), self.is_exchange, settings
         self.door = OwnProcess(*opening, time_limit=limit) if own_process else Library(*opening)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as its file, which must be the same there."""
-        return _opened_again, (*self._given, self._digest)
+        return _opened_again, (self._digest, *self._given)
 
     @property
     def parameters(self) -> list[str]:
@@ -99,15 +99,9 @@ class Fmu:
 
 # Each task that a worker is sent has the model anew: the FMU stays open for the next one.
 @functools.lru_cache(maxsize=4)
-def _opened_again(
-    path: Path,
-    kind: str,
-    settings: tuple[tuple[str, Any], ...],
-    own_process: bool,
-    time_limit: float | None,
-    digest: str,
-) -> Fmu:
-    fmu = Fmu(path, kind=kind, settings=dict(settings), own_process=own_process, time_limit=time_limit)
+def _opened_again(digest: str, path: Path, settings: tuple[tuple[str, Any], ...], *given: Any) -> Fmu:
+    kind, own_process, time_limit = given
+    fmu = Fmu(path, settings=dict(settings), kind=kind, own_process=own_process, time_limit=time_limit)
     if fmu._digest != digest:
         raise ProblemError(f"FMU '{fmu.name}': '{path}' has changed since the model was made: make the model again.")
     return fmu
@@ -125,9 +119,7 @@ def unpacked(path: Path, folder: Path) -> tuple[Any, str]:
         fmpy.extract(str(path), str(folder))
         platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
-        is_lacking = isinstance(error, AttributeError | TypeError)
-        reason = "it lacks what FMI requires" if is_lacking else str(getattr(error, "problems", [error])[0])
-        words = " ".join(reason.split())[:_LONGEST].rstrip(".")
+        words = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
