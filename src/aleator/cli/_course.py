@@ -227,9 +227,11 @@ class _Course:
 
     def _save(self, page: Draft) -> None:
         self._name_results(page)
-        contents = self._journal.contents()
-        follows = self._record is not None and all(isinstance(one, KINDS) for one in by_place(page.kept).values())
-        self._paths = page.save(self._folder, joined([f"{self._record!r}", contents]) if follows and contents else "")
+        # All that a study keeps follows from its source and its journal, unless it was ended or has datasets of its own.
+        is_whole = not (page.stopped or page.failures) and self._record is not None
+        follows = is_whole and all(isinstance(result, KINDS) for result in by_place(page.kept).values())
+        contents = self._journal.contents() if follows else ""
+        self._paths = page.save(self._folder, contents and joined([f"{self._record!r}", contents]))
 
     def _write_page(self, page: Draft) -> None:
         """Write the page, never beside results of an earlier run."""

@@ -224,9 +224,9 @@ class Journal(AbstractRecord):
                 self.append(*(replace(entry, name="") for entry in before), replace(self._known[key], name=name))
 
     def contents(self) -> str:
-        """A digest of all results that were asked for so far; empty where one of them is not kept."""
-        kept = [entry for entry in self.entries if entry.key in self._asked and entry.is_finished]
-        return joined(f"{entry.key} {entry.digest}" for entry in kept) if len(kept) == len(self._asked) else ""
+        """A digest of all results that were asked for so far; empty if there are none, or if one is not kept."""
+        kept = [f"{entry.key} {entry.digest}" for entry in self.entries if entry.key in self._asked and entry.file]
+        return joined(kept) if len(kept) == len(self._asked) > 0 else ""
 
     def append(self, *entries: Entry) -> bool:
         """Write lines, whole, at the end of the journal; returns whether they are there."""
