@@ -227,7 +227,7 @@ class _Course:
 
     def _save(self, page: Draft) -> None:
         self._name_results(page)
-        # All that a study keeps follows from its source and its journal, unless it was ended or has datasets of its own.
+        # What a study keeps follows from its source and its journal, unless it was ended or has datasets of its own.
         is_whole = not (page.stopped or page.failures) and self._record is not None
         follows = is_whole and all(isinstance(result, KINDS) for result in by_place(page.kept).values())
         contents = self._journal.contents() if follows else ""

@@ -225,7 +225,7 @@ class Asked:
           others, as long as it stays well conditioned;
         - `times`: as in `al.expand`.
 
-        Raises `ProblemError` if points were changed or cannot be told apart, `SimulationError` if more samples than
+        Raises `ProblemError` if points were changed, `SimulationError` if more samples than
         `drop` allows are missing or not finite. Warns with `SimulationWarning` of a bias if some are.
         """
         part = drop_given("tell: drop", drop)
