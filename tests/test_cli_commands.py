@@ -34,7 +34,7 @@ def states(folder: str) -> dict[str, str]:
 NEW = [["new", "bracket.py"], ["new", "."], ["new", "x.toml"]]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], *NEW])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["list"], *NEW])
 def test_help_and_a_new_study_do_not_wait_for_jax(tmp_path: Path, arguments: list[str]):
     script = "import sys, atexit, aleator_command\natexit.register(lambda: print('jax' in sys.modules))\n"
     command = [sys.executable, "-c", f"{script}aleator_command.main()", *arguments]
