@@ -28,8 +28,8 @@ FAILED, USAGE = 1, 2
 
 # What rich draws around the cells of each column, and at the end of a row.
 _AROUND, _END = 3, 1
-# Cells are wrapped to so many characters.
-_ROOM = 32
+# Cells are wrapped to so many characters, where that makes all columns fit.
+_ROOMS = 32, 24, 16
 
 
 @final
@@ -134,11 +134,12 @@ def fitted(table: Table, width: int) -> Iterator[RichTable]:
     As many columns as fit make a block, two at least; each block repeats the first column. The caption stands above
     the first block, the note below the last.
     """
-    columns = [[f"{cell}" for cell in column] for column in zip(table.header, *table.rows, strict=True)]
-    if not _fit(columns, width):
-        room = min(_ROOM, (width - _END) // 2 - _AROUND)
-        columns = [[_wrapped(cell, room) for cell in column] for column in columns]
-    first, *others = columns
+    half = (width - _END) // 2 - _AROUND
+    layouts = [
+        [[_wrapped(f"{cell}", room) for cell in column] for column in zip(table.header, *table.rows, strict=True)]
+        for room in (width, *_ROOMS, min(half, max(_ROOMS)))
+    ]
+    first, *others = next((columns for columns in layouts if _fit(columns, width)), layouts[-1])
     blocks = [[first]]
     for column in others:
         if len(blocks[-1]) > 1 and not _fit([*blocks[-1], column], width):
