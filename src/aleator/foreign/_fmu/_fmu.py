@@ -64,7 +64,7 @@ class Fmu:
         self.name, (description, self._digest) = path.stem, unpacked(path, folder)
         self.kind, self.variables = kind_of(self.name, description, kind), Variables(self.name, description)
         self.variables.refuse_settings(settings)
-        self._version, self._indicators = description.fmiVersion, int(description.numberOfEventIndicators)
+        self._version, self.indicators = description.fmiVersion, int(description.numberOfEventIndicators)
         self.is_exchange = self.kind == "model exchange"
         self.states = self.variables.states() if self.is_exchange else []
         self._given = path.absolute(), tuple(settings.items()), self.kind, own_process, limit
@@ -92,7 +92,7 @@ class Fmu:
 
     def __str__(self) -> str:
         listed = {name: getattr(self, name) for name in ("parameters", "inputs", "states", "outputs")}
-        events = f"; {self._indicators} event indicators" if self.is_exchange and self._indicators else ""
+        events = f"; {self.indicators} event indicators" if self.is_exchange and self.indicators else ""
         lines = [f"  {name}: {', '.join(variables) or 'none'}" for name, variables in listed.items()]
         return "\n".join([f"FMU '{self.name}': FMI {self._version}, {self.kind}{events}", *lines])
 

@@ -76,8 +76,8 @@ class Library:
     def first(self, parameters: Mapping[str, float | None], inputs: Sequence[str]) -> dict[str, Any]:
         """How the equations begin, for values of parameters, None for the FMU's own.
 
-        Values of the `inputs` and `parameters`, the `states` and their usual sizes, and how many `indicators` of events
-        there are, and whether some are known by their time.
+        Values of the `inputs` and `parameters`, the `states` and their usual sizes, and whether an event is known by
+        its time.
         """
         known = {name: value for name, value in parameters.items() if value is not None}
         with self._started(known, 0.0, _TOLERANCE) as instance:
@@ -86,7 +86,6 @@ class Library:
                 "parameters": instance.get(self._loaded.references(list(parameters))),
                 "states": instance.state(),
                 "nominals": instance.nominals(),
-                "indicators": self._loaded.indicators,
                 "is_timed": bool(np.isfinite(instance.next_event)),
             }
 
