@@ -34,7 +34,7 @@ def states(folder: str) -> dict[str, str]:
 NEW = [["new", "bracket.py"], ["new", "."], ["new", "x.toml"]]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], *NEW])
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["list"], *NEW])
 def test_help_and_a_new_study_do_not_wait_for_jax(tmp_path: Path, arguments: list[str]):
     script = "import sys, atexit, aleator_command\natexit.register(lambda: print('jax' in sys.modules))\n"
     command = [sys.executable, "-c", f"{script}aleator_command.main()", *arguments]
@@ -67,6 +67,23 @@ def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: P
         assert told["designs"][name]["objective"] == design["objective"]
     # The front's first point is the design, under the same bound: a result asked for twice is counted once.
     assert told["recalled"] == 2
+
+
+def test_a_run_that_takes_all_from_its_folder_leaves_its_results_as_they_are_if_these_are_whole(
+    finished: Path, nothing_solved
+):
+    def written() -> int:
+        assert aleator("resume", "results").exit_code == 0
+        return (finished / "results.nc").stat().st_ino
+
+    first = written()
+    assert written() == first
+    (finished / "designs.json").unlink()
+    second = written()
+    assert second != first
+    assert (finished / "designs.json").exists()
+    Record("bar.py", quick=True).write(finished)
+    assert written() != second, "other evidence"
 
 
 def test_designs_that_are_infeasible_are_told_among_those_that_are_solved(here: Path):

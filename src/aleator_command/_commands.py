@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 from typing_extensions import override
 
+from aleator_command._studies import STUDIES
 from aleator_command._template import begin_file
 
 _PAGE, _USAGE = "report.html", 2
@@ -48,8 +49,6 @@ def _command(name: str, *examples: str) -> Callable[[Callable[..., None]], Calla
 
 def _studies(incomplete: str) -> list[str]:
     """Names of studies, and study files, that begin with what was typed."""
-    from aleator.studies import STUDIES
-
     matches = Path().glob("*") if "/" not in incomplete else Path(incomplete.rpartition("/")[0]).glob("*")
     paths = [f"{path}/" if path.is_dir() else f"{path}" for path in matches]
     files = [path for path in paths if path.endswith(("/", ".py", ".toml"))]
@@ -237,12 +236,16 @@ def _list(
     as_json: _AsJson = False,
 ) -> None:
     """List the case studies, or the results in a run's folder with their states."""
-    from aleator import cli
+    if folder is not None:
+        from aleator import cli
 
-    if folder is None:
-        cli.list_studies(as_json)
-    else:
         cli.list_results(folder, as_json)
+    elif as_json:
+        studies = [{"name": name, "about": about} for name, about in STUDIES.items()]
+        typer.echo(json.dumps({"command": "list", "studies": studies, "exit_code": 0, "errors": []}, indent=2))
+    else:
+        width = max(map(len, STUDIES))
+        typer.echo("\n".join(f"{name:<{width}}  {about}" for name, about in STUDIES.items()))
 
 
 @_command("schema", "aleator schema > study.schema.json")

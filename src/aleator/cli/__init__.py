@@ -4,7 +4,6 @@ exit codes and JSON documents.
 
 from aleator.cli._commands import check as check
 from aleator.cli._commands import list_results as list_results
-from aleator.cli._commands import list_studies as list_studies
 from aleator.cli._commands import resume as resume
 from aleator.cli._commands import run as run
 from aleator.cli._commands import sweep as sweep

@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from rich.table import Table as RichTable
-
 from aleator import studies
 from aleator._core.border import refusal
 from aleator.cli._course import executed
@@ -13,7 +11,7 @@ from aleator.cli._folder import Record, folder_of, folder_over, is_stale, record
 from aleator.cli._interruption import Interruptions
 from aleator.cli._terminal import Terminal
 from aleator.journalling import Entry, examined, listing, names_of
-from aleator.studies import STUDIES, Check
+from aleator.studies import Check
 
 
 def check(study: str, as_json: bool) -> NoReturn:
@@ -68,16 +66,6 @@ def _numbers(text: str) -> tuple[float, ...]:
         return tuple(float(number) for number in text.split(",") if number.strip())
     except ValueError:
         raise refusal("sweep: --values", "numbers with commas between them, such as 1,1.2,1.4", text) from None
-
-
-def list_studies(as_json: bool) -> NoReturn:
-    """List the case studies."""
-    terminal, table = Terminal("list", as_json), RichTable("study", "about", box=None)
-    for name, about in STUDIES.items():
-        table.add_row(name, about)
-    terminal.console.print(table)
-    terminal.note(studies=[{"name": name, "about": about} for name, about in STUDIES.items()])
-    terminal.conclude(0)
 
 
 def list_results(folder: Path, as_json: bool) -> NoReturn:

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +10,12 @@ from typing import Any, final
 
 from aleator._core.border import one_of
 from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.identity import joined
 from aleator.cli._folder import RECORD, Record, is_stale
 from aleator.cli._interruption import Interruptions
 from aleator.cli._terminal import FAILED, USAGE, Terminal, shown
 from aleator.journalling import Journal, journal
-from aleator.reporting import PAGE, by_place, check_writable, designs_document, only_writer, save_study, words
+from aleator.reporting import KINDS, PAGE, by_place, check_writable, designs_document, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, Draft
 from aleator.sweep import Front, point_name
@@ -59,12 +60,12 @@ def executed(
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
-                record.write(folder)
+                record = record.write(folder)
         except ProblemError as error:
             terminal.complain("error", error)
             return USAGE
         try:
-            code = course.execute(Draft(study), folder, results)
+            code = course.execute(Draft(study), folder, results, record)
             if taken := len(results.taken):
                 subject = "1 result was" if taken == 1 else f"{taken} results were"
                 hint = "" if afresh is None else "; --afresh computes anew"
@@ -72,9 +73,6 @@ def executed(
             return code
         except BrokenPipeError:
             raise
-        except OSError as error:
-            terminal.complain("error", error)
-            return FAILED
         except Exception:  # a mistake in a study's own code, reported already, whose traceback follows
             terminal.print_document(FAILED)
             raise
@@ -93,14 +91,24 @@ class _Course:
         self._paths, self._complaints = list[Path](), list[str]()
         self._mistake: Exception | None = None
 
-    def execute(self, page: Draft, folder: Path, results: Journal) -> int:
+    def execute(self, page: Draft, folder: Path, results: Journal, record: Record | None) -> int:
         """Run the chapter, save its results, write the page, and print the tables; returns the exit code."""
-        self._folder, self._journal, self._page = folder, results, page
+        self._folder, self._journal, self._page, self._record = folder, results, page, record
         self._begin_step()
         with self._terminal.warning():
             code = self._run_through(page)
         if self._terminal.is_json:
-            self._terminal.note(**self._facts(page), recalled=len(results.taken))
+            kept = by_place(page.kept)
+            self._terminal.note(
+                folder=str(folder),
+                finished=page.finished,
+                files=[str(path) for path in self._paths],
+                title=page.study.title,
+                verdict=page.headline(),
+                designs=designs_document(page.kept),
+                fronts={place: _front_document(one) for place, one in kept.items() if isinstance(one, Front)},
+                recalled=len(results.taken),
+            )
         return code
 
     def _run_through(self, page: Draft) -> int:
@@ -219,7 +227,11 @@ class _Course:
 
     def _save(self, page: Draft) -> None:
         self._name_results(page)
-        self._paths = page.save(self._folder)
+        # What a study keeps follows from its source and its journal, unless it was ended or has datasets of its own.
+        is_whole = not (page.stopped or page.failures) and self._record is not None
+        follows = is_whole and all(isinstance(result, KINDS) for result in by_place(page.kept).values())
+        contents = self._journal.contents() if follows else ""
+        self._paths = page.save(self._folder, contents and joined([f"{self._record!r}", contents]))
 
     def _write_page(self, page: Draft) -> None:
         """Write the page, never beside results of an earlier run."""
@@ -232,20 +244,6 @@ class _Course:
         for path in dict.fromkeys(self._paths):
             if path.exists():
                 self._terminal.tell(f"wrote {path}")
-
-    def _facts(self, page: Draft) -> Mapping[str, Any]:
-        """The run for its JSON document, whatever of it is there."""
-        return {
-            "folder": str(self._folder),
-            "finished": page.finished,
-            "files": [str(path) for path in self._paths],
-            "title": page.study.title,
-            "verdict": page.headline(),
-            "designs": designs_document(page.kept),
-            "fronts": {
-                place: _front_document(one) for place, one in by_place(page.kept).items() if isinstance(one, Front)
-            },
-        }
 
 
 def _front_document(front: Front) -> dict[str, Any]:

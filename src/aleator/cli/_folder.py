@@ -95,8 +95,11 @@ class Record:
         bound = f" --bound {self.bound}" if self.bound else ""
         return f"aleator {self.command} {self.study}{bound}{f' --design {self.design}' if self.design else ''}"
 
-    def write(self, folder: Path) -> None:
-        """Note it in the run's folder, with the places from which the study can be found again, and its source."""
+    def write(self, folder: Path) -> "Record":
+        """Note it in the run's folder, with the places from which the study can be found again, and its source.
+
+        Returns it with these.
+        """
         beside = ""
         if self.is_file:
             with suppress(ValueError):  # on another drive of Windows
@@ -104,6 +107,7 @@ class Record:
         noted = replace(self, directory=str(Path.cwd()), beside=beside, source=_source(self.study))
         text = json_text({"command": self.command, **asdict(noted)})
         write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
+        return noted
 
 
 def folder_of(study: str) -> Path:
@@ -185,14 +189,11 @@ def recorded(folder: Path) -> Record:
 
 def _read(folder: Path) -> Record:
     """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
-    path, kinds = folder / RECORD, {"quick": bool, "workers": int, "values": list}
+    path = folder / RECORD
     try:
         data = json_of(content_of(path))
-        noted = {field.name: data[field.name] for field in fields(Record)}
-        for name, value in noted.items():
-            if not isinstance(value, kinds.get(name, str)):
-                raise TypeError(f"{name} = {value!r}")
-        return Record(**{**noted, "values": tuple(map(float, noted["values"]))})
+        noted = {field.name: type(field.default)(data[field.name]) for field in fields(Record)[1:]}
+        return Record(f"{data['study']}", **{**noted, "values": tuple(map(float, data["values"]))})
     except FileNotFoundError:
         raise ProblemError(
             f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "

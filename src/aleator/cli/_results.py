@@ -121,8 +121,7 @@ def _page_of_designs(folder: Path, run: Recalled, study: AbstractStudy | None, m
     else:
         if not run.missing:
             raise ProblemError(f"report: nothing is finished yet in '{folder}': there is no design to show.")
-        written = written_designs(folder)
-        if not written:
+        if not (written := written_designs(folder)):
             raise ProblemError(f"report: no design in '{folder}' can be read: {run.missing[0]}")
         missing.append(_WITHOUT_THE_MODEL)
         numbers = "The model's code cannot be read: these are the numbers of its run."

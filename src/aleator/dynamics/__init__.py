@@ -31,6 +31,7 @@ from aleator.dynamics._grid import Grid as Grid
 from aleator.dynamics._grid import Inputs as Inputs
 from aleator.dynamics._grid import Instant as Instant
 from aleator.dynamics._grid import check_signals as check_signals
+from aleator.dynamics._grid import check_span as check_span
 from aleator.dynamics._integrators import AbstractIntegrator as AbstractIntegrator
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._newton import newton as newton

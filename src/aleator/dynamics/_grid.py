@@ -254,10 +254,11 @@ def check_signals(system: System, grid: Grid, inputs: Mapping[str, Any]) -> None
     own = {f"Signal '{name}' of {system.title}": signal for name, signal in system.signals().items()}
     for who, signal in (own | {f"Input '{name}'": signal for name, signal in inputs.items()}).items():
         if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((signal, grid))):
-            _check_span(who, signal, grid)
+            check_span(who, signal, grid)
 
 
-def _check_span(who: str, signal: AbstractSignal, grid: Grid) -> None:
+def check_span(who: str, signal: AbstractSignal, grid: Grid) -> None:
+    """Refuse a signal that is not known on the whole grid; `who` it is, at the beginning of a sentence."""
     # These are known even while a function that simulates is traced.
     with jax.ensure_compile_time_eval():
         first, last = signal.span()

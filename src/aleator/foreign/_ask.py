@@ -27,11 +27,9 @@ if TYPE_CHECKING:
 NUMBER = "sample"
 """The column with the numbers of samples, from 1 on."""
 
-# Inputs may be rounded to this part of their range, as spreadsheets do (15 digits), or to six digits: by this part of
-# the number, and by this part of the range, as long as each row belongs to one point alone.
-_ROUNDED = 1e-9
-_SIX_DIGITS = 5.000001e-6
-_OF_RANGE = 1e-3
+# Inputs may be rounded to six digits: by this part of the number, and no more than this part of the range; and by this
+# part of the largest number, as spreadsheets round (15 digits).
+_SIX_DIGITS, _OF_RANGE, _ROUNDED = 5.000001e-6, 1e-3, 1e-9
 
 # Columns of a table that may have texts, which nobody reads here.
 _COMMENTS = ("comment", "comments")
@@ -67,8 +65,6 @@ def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> l
     count = len(next(iter(points.values())))
     outputs = {name: values for name, values in named.items() if name not in (NUMBER, *points)} if named else columns
     lengths = {len(values) for values in jax.tree.leaves(columns)}
-    if not jax.tree.leaves(outputs):
-        raise ProblemError(f"tell: expected an output besides {[NUMBER, *points]}; received {list(named)}.")
     if len(lengths) > 1 or (NUMBER not in named and lengths != {count}):
         raise ProblemError(
             f"tell: expected {count} rows, one for each sample, or a column {NUMBER!r} with their numbers; received "
@@ -87,8 +83,8 @@ def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> l
 def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
     """The samples of rows as indices from 0 on."""
     whole = np.isin(values, np.arange(1, count + 1))
-    if values.ndim != 1 or not whole.all():
-        bad = values if values.ndim != 1 else float(values[~whole][0])
+    if not whole.all():
+        bad = float(values[~whole][0])
         raise border.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
     samples, times = np.unique(values, return_counts=True)
     if (times > 1).any():
@@ -97,50 +93,26 @@ def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
 
 
 def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray], numbers: np.ndarray) -> None:
-    """Refuse inputs that differ from those that were asked for, and rounded ones that might be those of two samples."""
-    names = [name for name in points if name in named]
-    for name in names:
-        if named[name].ndim != 1:
-            raise border.refusal(f"tell: the input {name!r}", "one number in each row", named[name])
-    if not names:
-        return
-    received = np.stack([named[name] for name in names], axis=1)
-    asked = np.stack([points[name] for name in names], axis=1)
-    allowed = np.stack([_to_six_digits(points[name]) for name in names], axis=1)
-    wrong = ~(np.abs(received - asked[numbers]) <= allowed[numbers])
-    if wrong.any():
-        row, column = np.argwhere(wrong)[0]
-        raise ProblemError(
-            f"tell: expected {names[column]} = {float(asked[numbers[row], column])!r} at sample {numbers[row] + 1}, as "
-            f"asked; received {float(received[row, column])!r} ({wrong.any(axis=1).sum()} of {len(wrong)} rows "
-            "differ). Were points changed or rows reordered? Ask again, or answer the points that were asked."
-        )
-    for row in np.flatnonzero((received != asked[numbers]).any(axis=1)):
-        fits = np.all(np.abs(asked - received[row]) <= allowed, axis=1)
-        if np.any(fits & np.any(asked != asked[numbers[row]], axis=1)):
+    """Refuse inputs that differ from those that were asked for."""
+    for name in (name for name in points if name in named):
+        received, asked = named[name], points[name][numbers]
+        span, largest = np.ptp(points[name]), np.abs(points[name]).max()
+        allowed = np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * span), _ROUNDED * max(span, largest))
+        wrong = np.flatnonzero(~(np.abs(received - asked) <= allowed))
+        if len(wrong):
             raise ProblemError(
-                f"tell: expected inputs with more digits; those of sample {numbers[row] + 1} are rounded so that they "
-                "fit another sample too."
+                f"tell: expected {name} = {float(asked[wrong[0]])!r} at sample {numbers[wrong[0]] + 1}, as asked; "
+                f"received {float(received[wrong[0]])!r} ({len(wrong)} of {len(asked)} rows differ). Were points "
+                "changed or rows reordered? Ask again, or answer the points that were asked."
             )
 
 
-def _to_six_digits(asked: np.ndarray) -> Float[np.ndarray, " n"]:
-    """How far each input in a table may be from the one that was asked for."""
-    least = _ROUNDED * max(np.ptp(asked), np.abs(asked).max())
-    return np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * np.ptp(asked)), least)
-
-
 def _rows_of(name: str, values: Any) -> np.ndarray:
-    array = border.real_array(f"tell: {name}", values, "real numbers with a row for each sample")
-    if array.ndim == 0:
-        raise border.refusal(f"tell: {name}", "an array with a row for each sample", values)
-    return array
+    return np.atleast_1d(border.real_array(f"tell: {name}", values, "real numbers with a row for each sample"))
 
 
 def _from_dataset(dataset: Any) -> dict[str, np.ndarray]:
-    """The variables and coordinates of an `xarray.Dataset`, whose library takes long to import."""
-    if odd := [name for name, values in dataset.data_vars.items() if NUMBER not in values.dims]:
-        raise ProblemError(f"tell: expected {odd[0]!r} to have the dimension {NUMBER!r} of the dataset.")
+    """The variables and coordinates along the samples of an `xarray.Dataset`, whose library takes long to import."""
     own = {str(name): values for name, values in dataset.variables.items() if NUMBER in values.dims}
     return {name: _rows_of(name, values.transpose(NUMBER, ...).values) for name, values in own.items()}
 
@@ -150,7 +122,7 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
     names = [name.strip() for name in names]
     if len(set(names)) < len(names):
         raise ProblemError(f"{path}: expected each column once; received {names}.")
-    columns: dict[str, Any] = {}
+    columns: dict[str, dict[int | None, Any]] = {}
     for column, name in enumerate(names):
         is_comment = name.lower() in _COMMENTS
         try:
@@ -166,15 +138,14 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
             continue
         part = _ENTRY.fullmatch(name)
         own, place = (name, None) if part is None else (part[1], int(part[2]))
-        entries = columns.setdefault(own, values if place is None else [])
-        if isinstance(entries, list) != (place is not None):
-            raise ProblemError(f"{path}: expected either a column {own!r} or its entries {own}[0], ...; received both.")
-        if place is None:
-            continue
-        if place != len(entries):
-            raise ProblemError(f"{path}: expected {own}[{len(entries)}] next; received the column {name!r}.")
-        entries.append(values)
-    return {name: np.stack(values, axis=1) if isinstance(values, list) else values for name, values in columns.items()}
+        columns.setdefault(own, {})[place] = values
+    for name, entries in columns.items():
+        if list(entries) not in ([None], [*range(len(entries))]):
+            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ...")
+    return {
+        name: entries[None] if None in entries else np.stack([*entries.values()], axis=1)
+        for name, entries in columns.items()
+    }
 
 
 def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
@@ -254,7 +225,7 @@ class Asked:
           others, as long as it stays well conditioned;
         - `times`: as in `al.expand`.
 
-        Raises `ProblemError` if points were changed or cannot be told apart, `SimulationError` if more samples than
+        Raises `ProblemError` if points were changed, `SimulationError` if more samples than
         `drop` allows are missing or not finite. Warns with `SimulationWarning` of a bias if some are.
         """
         part = drop_given("tell: drop", drop)

@@ -17,7 +17,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest, own_code
-from aleator.ensemble import AbstractBox, Realisation, absent, as_outputs, name_of, same_shapes
+from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
 from aleator.foreign._command import Command, Isolated, refuse_unsendable
 from aleator.foreign._journal import Journal
 
@@ -116,17 +116,8 @@ class _Campaign:
         self._most, self._whole = 0 if whole else most_of(box.drop, len(realisations)), whole
         self._keys = [box.journal.key(realisation) for realisation in realisations]
         self._failures: dict[int, str] = {}
-        self._tries: Counter[int] = Counter()
-        self._first: tuple[Realisation, Pytree] | None = None
-        for index, outputs in enumerate(self.outputs):
-            try:
-                if outputs is not None:
-                    self._keep(index, outputs)
-            except SimulationError as error:
-                raise ProblemError(
-                    f"{self._name}: the journal has outputs of different shapes: {error}. Its box has changed "
-                    "unnoticed: take another file."
-                ) from error
+        finished = zip(realisations, self.outputs, strict=True)
+        self._first = next(((one, outputs) for one, outputs in finished if outputs is not None), None)
 
     @property
     def outputs(self) -> list[Pytree | None]:
@@ -141,7 +132,7 @@ class _Campaign:
         """
         self._warn_of_others()
         first = {key: i for i, key in reversed([*enumerate(self._keys)]) if self._box.journal.find(key) is None}
-        waiting, running = deque(sorted(first.values())), dict[Future[Any], int]()
+        waiting, running, tries = deque(sorted(first.values())), dict[Future[Any], int](), Counter[int]()
         executor, width = (_InTurn(), 1) if executor is None else (executor, _IN_FLIGHT)
         try:
             while waiting or running:
@@ -149,11 +140,18 @@ class _Campaign:
                     index = waiting.popleft()
                     running[_submitted(executor, function, self._realisations[index].model)] = index
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    error = _error_of(future)
-                    index = running.pop(future)
-                    if self._has_to_repeat(index, error, future):
-                        waiting.appendleft(index)
-                self._refuse_failures()
+                    error, index = _error_of(future), running.pop(future)
+                    try:
+                        if error is not None:
+                            raise self._failure(error) from error
+                        self._keep(index, future.result())
+                    except SimulationError as failure:
+                        tries[index] += 1
+                        if tries[index] <= self._box.retries:
+                            waiting.appendleft(index)
+                        else:
+                            self._failures[index] = f"{failure}"
+                            self._refuse_failures()
         except BaseException as error:
             # First, or a thread whose run is ended would begin the next one.
             for future in running:
@@ -170,6 +168,14 @@ class _Campaign:
         if self._failures:
             warn_of_dropped(self._name, self._realisations, self._failures)
 
+    def _warn_of_others(self) -> None:
+        if count := sum(map(self._box.journal.is_of_others, self._keys)):
+            warn_outside(
+                f"The journal {self._box.journal.path} has {count} of these samples by another box, or by this one "
+                "before its code, command or version changed: they are not used, and run again.",
+                SimulationWarning,
+            )
+
     def _keep(self, index: int, returned: Pytree) -> None:
         """Keep what a run returned. Raises `SimulationError` if that is no output."""
         realisation = self._realisations[index]
@@ -178,31 +184,16 @@ class _Campaign:
         if self._box.journal.find(self._keys[index]) is None:
             self._box.journal.add(self._keys[index], realisation, outputs)
 
-    def _has_to_repeat(self, index: int, error: BaseException | None, future: Future[Any]) -> bool:
-        """Keep what a run returned, or why it failed for good.
-
-        Raises `ProblemError` if it raised one, or asked for an input that there is not: no sample could succeed.
-        """
-        if error is None:
-            try:
-                self._keep(index, future.result())
-                return False
-            except SimulationError as unsound:
-                error = unsound
-        # Once samples have finished, a key that is missing is one of the function's own.
-        if (
-            self._first is None
-            and isinstance(error, Exception)
-            and (missing := absent(error, self._realisations[index].model))
-        ):
-            raise ProblemError(f"{self._name} asks for {missing}.")
+    def _failure(self, error: BaseException) -> SimulationError:
+        """Why a run failed, in one line. Raises what is wrong with all of them: no sample could succeed."""
+        if isinstance(error, SystemExit):
+            # A model that ends its own process has failed; it does not end this one.
+            return SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
         if isinstance(error, ProblemError) or not isinstance(error, Exception):
             raise error
-        self._tries[index] += 1
-        if self._tries[index] <= self._box.retries:
-            return True
-        self._failures[index] = _reason(error)
-        return False
+        words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
+        raised = "" if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}"
+        return SimulationError(raised + words)
 
     def _refuse_failures(self) -> None:
         """Refuse more failures than may be dropped, naming the last one."""
@@ -224,14 +215,6 @@ class _Campaign:
         place = "by this box" if path is None or not isinstance(error, SimulationError) else f"in {path.name}"
         return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
 
-    def _warn_of_others(self) -> None:
-        if count := sum(map(self._box.journal.is_of_others, self._keys)):
-            warn_outside(
-                f"The journal {self._box.journal.path} has {count} of these samples by another box, or by this one "
-                "before its code, command or version changed: they are not used, and run again.",
-                SimulationWarning,
-            )
-
 
 @final
 class _InTurn(Executor):
@@ -252,10 +235,8 @@ def _submitted(executor: Executor, function: Callable[[Pytree], Pytree], model: 
     model = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
     try:
         return executor.submit(function, model)
-    except BrokenExecutor as error:
+    except RuntimeError as error:  # a broken one, or one that takes no more work
         raise _broken(error) from error
-    except RuntimeError as error:
-        raise ProblemError(f"BlackBox: expected an executor that takes work; it says: {error}.") from error
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
@@ -263,9 +244,6 @@ def _error_of(future: Future[Any]) -> BaseException | None:
     error = BrokenExecutor("it cancelled its work") if future.cancelled() else future.exception()
     if isinstance(error, BrokenExecutor):
         raise _broken(error) from error
-    if isinstance(error, SystemExit):
-        # A model that ends its own process has failed; it does not end this one.
-        return SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
     refuse_unsendable("BlackBox", error)
     return error
 
@@ -276,12 +254,6 @@ def _broken(error: BaseException) -> SimulationError:
         f"BlackBox: its executor is broken ({words}). If a sample ends its process, let it run in one of its own by "
         'al.foreign.Isolated; a script that starts processes needs `if __name__ == "__main__":`'
     )
-
-
-def _reason(error: BaseException) -> str:
-    """Why a run failed, in one line."""
-    words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
-    return words if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}{words}"
 
 
 def drop_given(what: str, drop: Any) -> float:

@@ -68,11 +68,6 @@ class Command:
         own = {self.input_file, self.output_file}
         absolute = tuple(name if name in own else _absolute(name) for name in arguments)
         object.__setattr__(self, "arguments", absolute)
-        if self.input_file is None and not self._placeholders:
-            raise ProblemError(
-                f"Command: no input reaches {self.__name__}. Write {{name}} in the place of an argument, or give an "
-                "input_file."
-            )
 
     @property
     def __name__(self) -> str:
@@ -156,10 +151,8 @@ def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has no form for: numbers of NumPy."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise border.refusal("Command: an input", "a number, an array or a text", value)
+    """Numbers of NumPy, for which JSON has no form."""
+    return np.asarray(value).tolist()
 
 
 def _numbers(text: str, source: str) -> Pytree:
@@ -183,7 +176,7 @@ def _numbers(text: str, source: str) -> Pytree:
 def _parsed(text: str) -> Any:
     """What JSON says; None for anything else."""
     try:
-        return json_of(text, object_pairs_hook=_once_each)
+        return json_of(text)
     except ValueError:
         return None
 
@@ -195,15 +188,6 @@ def _rank(line: str) -> int:
     if line.startswith("{"):
         return 2
     return int(line == "[" or isinstance(_parsed(line), list))
-
-
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON. Raises `SimulationError` for a name that it has twice."""
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise SimulationError(f"expected each output once; received {name!r} twice")
-    return dict(pairs)
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:

@@ -10,13 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
 from aleator._core.errors import ProblemError
 from aleator.foreign._mjcf_bodies import (
-    Equalities,
     Model,
-    are_held,
     bodies_of,
     equalities_of,
     is_disabled,
@@ -48,20 +45,11 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     `MissingExtraError` without MuJoCo.
     """
     left_out = checked_effects("read_mjcf", leave_out)
-    # MuJoCo replaces numbers that are none by its defaults.
-    for element in root_of("read_mjcf", path, "mujoco").iter():
-        for attribute, text in element.attrib.items():
-            if attribute != "name" and "nan" in text.lower().split():
-                where = f"{element.tag} '{element.get('name', '')}'"
-                raise broken(path, where, f"expected numbers as {attribute}; received {text!r}.")
+    root_of("read_mjcf", path, "mujoco")
     model, flexes, unread = _compiled(path)
-    switched_off = is_disabled(model, "CONSTRAINT", "EQUALITY")
-    unheld = (~are_held(model) | ("equality" in left_out)) & (not switched_off)
-    notes = refuse_effects(path, {**_effects(model, unheld), **flexes}, left_out)
     joints = joints_of(model)
-    equalities = Equalities({}, {}, ())
-    if not (switched_off or "equality" in left_out):
-        equalities = equalities_of(path, model, joints)
+    equalities = equalities_of(path, model, joints, left_out="equality" in left_out)
+    notes = refuse_effects(path, {**_effects(model, equalities.others), **flexes}, left_out)
     limits = dict(_limits(model, joints))
     return robot_of(
         path,
@@ -162,11 +150,8 @@ _EFFECTS = (
 )
 
 
-def _effects(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, list[str]]:
-    """Effects for which a tree of bodies has no place, by name with the elements that have them.
-
-    `unheld`: which of the equations, if they are active, are among them.
-    """
+def _effects(model: Model, equations: Sequence[int]) -> dict[str, list[str]]:
+    """Effects for which a tree of bodies has no place, some equations among them, with the elements that have them."""
     found: dict[str, list[str]] = {}
     for effect, kind, fields, flags in _EFFECTS:
         # Fields that an older MuJoCo does not have are zero.
@@ -181,7 +166,7 @@ def _effects(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, 
     is_passive = not (is_disabled(model, "SPRING") and is_disabled(model, "DAMPER"))
     is_weighty, is_fluid = any(_gravity(model)), model.opt.density > 0 or model.opt.viscosity > 0
     return found | {
-        "equality": _named(model, "equality", np.flatnonzero(model.eq_active0.astype(bool) & unheld)),
+        "equality": _named(model, "equality", equations),
         "fluid": ["option"] if is_passive and is_fluid else [],
         "gravcomp": _named(model, "body", np.flatnonzero(model.body_gravcomp) if is_passive and is_weighty else []),
         "plugins": _named(model, "body", np.flatnonzero(model.body_plugin >= 0)),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from aleator._core.errors import optional
@@ -132,35 +132,31 @@ class _End(NamedTuple):
 
 
 class Equalities(NamedTuple):
-    """Equations that a robot holds, by name, and notes on the others."""
+    """Active equations of a model: those that a robot holds, by name, notes on these, and the numbers of the others."""
 
     loops: dict[str, Closure]
     couplings: dict[str, Coupling]
-    notes: tuple[str, ...]
+    notes: list[str]
+    others: list[int]
 
 
-def are_held(model: Model) -> Bool[np.ndarray, " equations"]:
-    """Which equations of a model, active or not, a robot can hold.
+def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str], *, left_out: bool) -> Equalities:
+    """The active equations of a model whose joints have these names; none is held if they are `left_out`.
 
-    A weld of a loop in one plane would say three things twice, and so leave its forces undetermined.
-    """
-    kinds, data = model.eq_type, _at_reference(model)
-    planar = [kind == _WELD and _plane(model, data, _ends(model, data, i)) is not None for i, kind in enumerate(kinds)]
-    return np.isin(kinds, (_CONNECT, _WELD, _JOINT)) & ~np.array(planar, dtype=bool)
-
-
-def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> Equalities:
-    """The active equations of a model whose joints have these names.
-
+    A weld of a loop in one plane is not held: it would say three things twice, and so leave its forces undetermined.
     Raises `ProblemError` for one that cannot hold, because nothing between its bodies moves as it would have to.
     """
-    data = _at_reference(model)
-    loops: dict[str, Closure] = {}
-    couplings: dict[str, Coupling] = {}
-    notes: list[str] = []
+    loops, couplings, notes, others = found = Equalities({}, {}, [], [])
+    if is_disabled(model, "CONSTRAINT", "EQUALITY"):
+        return found
+    data = library().MjData(model)  # in the reference posture
+    library().mj_kinematics(model, data)
     for index in np.flatnonzero(model.eq_active0).tolist():
-        name = model.equality(index).name or f"equality_{index}"
-        if model.eq_type[index] == _JOINT:
+        name, kind = model.equality(index).name or f"equality_{index}", model.eq_type[index]
+        if left_out or kind not in (_CONNECT, _WELD, _JOINT):
+            others.append(index)
+            continue
+        if kind == _JOINT:
             couplings[name] = _coupling(model, name, index, joints)
             continue
         ends = outer, inner = _ends(model, data, index)
@@ -172,13 +168,15 @@ def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> 
             raise broken(path, f"equality '{name}'", what)
         if is_still:
             notes.append(f"Equality '{name}' says nothing: its bodies do not move against one another.")
+        elif kind == _WELD and axis is not None:
+            others.append(index)
         else:
-            loops[name] = _closure(model, name, model.eq_type[index] == _WELD, ends, axis)
+            loops[name] = _closure(model, name, kind == _WELD, ends, axis)
     if loops or couplings:
         notes.append(f"Equations hold exactly, where MuJoCo yields: {', '.join([*loops, *couplings])}.")
-    if asleep := int(np.sum(model.eq_active0 == 0)):
+    if not left_out and (asleep := int(np.sum(model.eq_active0 == 0))):
         notes.append(f"Equations that are not active at the start are not read ({asleep}).")
-    return Equalities(loops, couplings, tuple(notes))
+    return found
 
 
 def _coupling(model: Model, name: str, index: int, joints: Mapping[int, str]) -> Coupling:
@@ -257,10 +255,3 @@ def _plane(model: Model, data: Any, ends: tuple[_End, _End]) -> Float[np.ndarray
         if np.max(np.abs(across)) > _SAME:
             return None
     return axis
-
-
-def _at_reference(model: Model) -> Any:
-    """What MuJoCo makes of a model in its reference posture, `mujoco.MjData`."""
-    data = library().MjData(model)
-    library().mj_kinematics(model, data)
-    return data

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from aleator._core.border import one_of, shown
+from aleator._core.border import one_of
 from aleator._core.errors import ProblemError, optional
 from aleator.design import Problem, is_at_points, is_worst_case, number_unit, units_of
 from aleator.nlp import Evaluation
@@ -51,8 +51,7 @@ def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
     """
     who = "openmdao_component"
     one_of(who, problem, Problem)
-    if not isinstance(declared, bool):
-        raise ProblemError(f"{who}: expected True or False as `declared`; received {shown(declared)}.")
+    one_of(f"{who}: declared", declared, bool)
     refuse_choices(who, problem.placements)
     for constraint in problem.constraints:
         if is_worst_case(constraint) or is_at_points(constraint):

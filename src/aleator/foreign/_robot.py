@@ -74,12 +74,6 @@ class Robot(Multibody):
     posture: tuple[tuple[str, float], ...] = eqx.field(static=True, default=(), kw_only=True)
     notes: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
 
-    def __check_init__(self):
-        if not isinstance(self.parts, dict) or not all(isinstance(body, Body) for body in self.parts.values()):
-            raise refusal("Robot: parts", "a dictionary of al.Body by name", self.parts)
-        if sorted(self.order) != sorted(self.parts):
-            raise refusal("Robot: order", f"that of {sorted(self.parts)}", self.order)
-
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """The lowest and the highest value that the file allows, by the names of outputs."""

@@ -6,7 +6,9 @@ A program is plain text: equal models are equal, and can be pickled.
 import contextlib
 import functools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -16,7 +18,7 @@ import jax.scipy.special  # The text names it.
 import numpy as np
 from jaxtyping import Array
 
-from aleator._core.border import meant, refusal, shown
+from aleator._core.border import meant, one_of, refusal, shown
 from aleator._core.errors import ProblemError, optional
 from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
@@ -118,13 +120,8 @@ def name_of(symbol: Any) -> str:
 
 
 def names_of(who: str, moving: Sequence[Any], parameters: Sequence[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The names of symbols that move continuously, and of parameters.
-
-    Raises `ProblemError` where two have the same, and where SymPy takes what moves to be integer, or zero.
-    """
+    """The names of symbols that move, and of parameters. Raises `ProblemError` where two have the same."""
     found: dict[str, Any] = {}
-    for symbol in moving:
-        _refuse_stepping(who, symbol)
     for symbol in (*moving, *parameters):
         if found.setdefault(name_of(symbol), symbol) != symbol:
             raise ProblemError(
@@ -165,7 +162,6 @@ def number_of(who: str, what: str, symbol: Any, given: Any) -> Any:
         if not symbol.is_Function:
             # Its rate would be missing wherever SymPy has differentiated by time.
             raise refusal(f"{who}: '{name}'", "a constant; signals are for functions of time (dynamicsymbols)", given)
-        _refuse_stepping(who, symbol)
         shape = given.shape if isinstance(given, AbstractTrajectory) else ()
     else:
         shape = () if isinstance(given, AbstractLeaf) else realised_shape(given)
@@ -176,15 +172,6 @@ def number_of(who: str, what: str, symbol: Any, given: Any) -> Any:
     number = stored_numbers(f"{who}: {what} of '{name}'", given)
     _refuse_contradiction(who, symbol, number)
     return number
-
-
-def _refuse_stepping(who: str, symbol: Any) -> None:
-    """Raise `ProblemError` for a function of time that SymPy takes to be integer, or zero: it moves continuously."""
-    if kind := next((kind for kind in ("integer", "zero") if getattr(symbol, f"is_{kind}")), None):
-        raise ProblemError(
-            f"{who}: SymPy takes '{name_of(symbol)}' to be {kind}, and simplifies by it; expected a symbol without "
-            "this assumption for what moves continuously."
-        )
 
 
 def _refuse_contradiction(who: str, symbol: Any, number: Any) -> None:
@@ -223,79 +210,77 @@ def refuse_unknown(what: str, symbols: Iterable[Any], known: Collection[Any]) ->
 
 def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str, str], ...]:
     """Units of outputs. Raises `ProblemError` for units of anything else."""
-    given = {} if units is None else units
-    if not isinstance(given, Mapping) or not all(isinstance(text, str) for text in (*given, *given.values())):
-        raise refusal(f"{who}: units", "units as texts by output, in a dict", units)
-    for name in given:
-        if name not in outputs:
-            raise ProblemError(f"{who}: units has '{name}', which is no output.{meant(name, outputs)}")
+    given = one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}")
+    if unknown := [name for name in given if name not in outputs]:
+        raise ProblemError(f"{who}: units has {unknown[0]!r}, which is no output.{meant(f'{unknown[0]}', outputs)}")
     return tuple(given.items())
 
 
 # --- Programs ---------------------------------------------------------------------------------------------------------
 
 
-class Program(NamedTuple):
-    """A function of some numbers in order: `text` defines `value`, which takes those at the places it needs."""
+@dataclass(frozen=True)
+class Program:
+    """Some expressions as a function of numbers: `text` defines `value`, which takes a sequence of these.
 
-    places: tuple[int, ...]
+    - `names`: those of the expressions, if they have any.
+    """
+
     text: str
+    names: tuple[str, ...] = ()
 
-    def __call__(self, values: Sequence[Any] | Mapping[int, Any]) -> list[Array]:
+    def __call__(self, values: Any) -> list[Array]:
         """The value of each expression, scalars."""
-        found = _function(self.text)(*(values[place] for place in self.places))
-        return [jnp.asarray(value, dtype=float) for value in found]
+        return [jnp.asarray(value, dtype=float) for value in _function(self.text)(values)]
+
+    def by_name(self, values: Any) -> dict[str, Array]:
+        """The value of each expression, by its name."""
+        return dict(zip(self.names, self(values), strict=True))
 
 
-def written(who: str, expressions: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
-    """The program of some expressions as a function of the values of `symbols`, in their order.
+def written(who: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
+    """The program of some expressions, or of expressions by name, as a function of the values of `symbols` in order.
 
     Raises `ProblemError` for other symbols, with a `remedy`, for what JAX has no function for, and for numbers that are
     not real and finite.
     """
-    sympy, expressions = load_sympy(who), list(expressions)
-    places = {symbol: i for i, symbol in enumerate(symbols)}
-    refuse_others(who, expressions, places, remedy)
-    # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers.
-    real = {symbol: sympy.Symbol(f"v{i}", real=True) for symbol, i in places.items()}
+    sympy, symbols = load_sympy(who), list(symbols)
+    names, expressions = (tuple(given), list(given.values())) if isinstance(given, Mapping) else ((), list(given))
+    refuse_others(who, expressions, symbols, remedy)
+    # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers. The text has the symbols'
+    # places, whatever they are called.
+    real = {symbol: sympy.Symbol(f"v[{i}]", real=True) for i, symbol in enumerate(symbols)}
     plain = [expression.xreplace(real) for expression in expressions]
     plain = [expression.doit() if expression.has(sympy.Derivative) else expression for expression in plain]
     for ours, theirs in zip(plain, expressions, strict=True):
         infinite = any(math.isinf(float(number)) for number in ours.atoms(sympy.Float, sympy.Rational))
         if infinite or ours.has(sympy.I, sympy.oo, sympy.zoo, sympy.nan):
             raise ProblemError(f"{who}: expected real numbers below 1e308; received {str(theirs)[:80]}.")
-    used = set[Any]().union(*(expression.free_symbols for expression in plain))
-    program = _program({i: real[symbol] for symbol, i in places.items() if real[symbol] in used}, plain)
+    program = _program(plain)
     if not _is_traceable(program):
         parts = [part for one in plain for part in sympy.postorder_traversal(one) if isinstance(part, sympy.Expr)]
         # Of nested functions the innermost is the one that is not known.
-        unknown = next(
-            part for part in parts if not _is_traceable(_program(dict(enumerate(part.free_symbols)), [part]))
-        )
+        unknown = next(part for part in parts if not _is_traceable(_program([part])))
         raise ProblemError(
             f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
             "(expression.rewrite(...), .doit()), or write the model as an al.System."
         )
-    return program
+    return replace(program, names=names)
 
 
-def _program(symbols: Mapping[int, Any], expressions: Sequence[Any]) -> Program:
-    """Common subexpressions first. The text has the symbols' numbers, whatever they are called."""
+def _program(expressions: Sequence[Any]) -> Program:
+    """Common subexpressions first."""
     sympy = load_sympy("")
     common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("x"))
     printed = _printer().doprint
     lines = [f"    {symbol} = {printed(part)}" for symbol, part in common]
-    values = ", ".join(map(printed, reduced))
-    head = f"def value({', '.join(map(str, symbols.values()))}):"
-    return Program(tuple(symbols), "\n".join([head, *lines, f"    return [{values}]"]))
+    return Program("\n".join(["def value(v):", *lines, f"    return [{', '.join(map(printed, reduced))}]"]))
 
 
 def _is_traceable(program: Program) -> bool:
     """Whether JAX has all functions of a program, and traces it: no choice or loop of Python depends on a number."""
     try:
-        jax.eval_shape(
-            lambda *values: program(dict(zip(program.places, values, strict=True))), *[0.5] * len(program[0])
-        )
+        jax.eval_shape(lambda number: program(defaultdict(lambda: number)), 0.5)
     except Exception:  # whatever Python and JAX raise for what they cannot read or trace
         return False
     return True

@@ -48,7 +48,6 @@ class Mechanics(NamedTuple):
     torques: Program
     rates: Program | None
     closed: Program
-    names: tuple[str, ...]
     outputs: Program
     units: tuple[tuple[str, str], ...]
 
@@ -98,7 +97,7 @@ class SymPyMechanical(AbstractMechanical):
     def outputs(self, motion: Motion) -> dict[str, Array]:
         at = motion
         values = [*self._posture(at.q), *at.v, *at.torque, *at.v_dot, *at.q_dot, *at.q_ddot, *-at.multipliers]
-        return dict(zip(self.equations.names, self.equations.outputs(values), strict=True))
+        return self.equations.outputs.by_name(values)
 
     def _posture(self, q: Array) -> list[Any]:
         return [*q, *(self.numbers[name] for name in self.equations.parameters)]
@@ -255,8 +254,7 @@ def _mechanical(who: str, given: _Equations, numbers: Any, outputs: Any, units: 
             torques=at_posture("the effect of an actuator", effect),
             rates=None if forms == sympy.eye(len(q)) else at_posture("the rates of coordinates", forms),
             closed=at_posture("constraints", given.constraints),
-            names=tuple(formulas),
-            outputs=written(f"{who}: outputs", formulas.values(), known, meaning),
+            outputs=written(f"{who}: outputs", formulas, known, meaning),
             units=units_for(who, units, [*formulas, *standard]),
         ),
     )

@@ -9,7 +9,6 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.border import refusal
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type
@@ -38,7 +37,7 @@ class _Equations(NamedTuple):
     """Equations without their numbers: the structure, which determines what is compiled.
 
     Programs take the states, the inputs, the parameters and the time; `outputs` the states' rates besides, and those of
-    states that are rates; `start`, the initial values of the states `started`, the parameters alone.
+    states that are rates; `start`, the initial values of states, the parameters alone.
     - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit.
     """
 
@@ -47,9 +46,7 @@ class _Equations(NamedTuple):
     parameters: tuple[str, ...]
     rates: Program
     mass: Program | None
-    names: tuple[str, ...]
     outputs: Program
-    started: tuple[str, ...]
     start: Program
     units: tuple[tuple[str, str], ...]
 
@@ -69,8 +66,7 @@ class SymPySystem(System):
 
     @override
     def initial(self) -> Mapping[str, Any]:
-        follow = self.equations.start(self._given())
-        return {**self.start, **dict(zip(self.equations.started, follow, strict=True))}
+        return {**self.start, **self.equations.start.by_name(self._given())}
 
     @override
     def rhs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[Array, ...]:
@@ -84,7 +80,7 @@ class SymPySystem(System):
     def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
         values = self._values(t, z, inputs)
         rates = self._rates(values)
-        return rates, dict(zip(self.equations.names, self.equations.outputs([*values, *rates]), strict=True))
+        return rates, self.equations.outputs.by_name([*values, *rates])
 
     def _given(self) -> list[Any]:
         return [self.numbers[name] for name in self.equations.parameters]
@@ -136,8 +132,6 @@ def from_sympy(
     }
     given = symbols_given(f"{_WHO}: numbers", numbers)
     states, size = tuple(rates), len(rates)
-    if not states:
-        raise ProblemError(f"{_WHO}: expected the rate of one state at least; received none.")
     if mass_matrix is not None and getattr(mass_matrix, "shape", None) != (size, size):
         raise refusal(
             f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", mass_matrix
@@ -154,12 +148,6 @@ def from_sympy(
     moving, begins = contents_of(_WHO, [*rates.values(), *mass]), contents_of(f"{_WHO}: start", follow.values())
     shown = contents_of(f"{_WHO}: outputs", formulas.values())
     inputs = [symbol for symbol in dict.fromkeys((*moving.functions, *shown.functions)) if symbol not in states]
-    for symbol in inputs:
-        if symbol in given:
-            raise ProblemError(
-                f"{_WHO}: {symbol} is an input, not one of numbers; give it as a signal: al.Problem(..., "
-                f"inputs={{'{name_of(symbol)}': ...}})."
-            )
     symbols = {*moving.symbols, *shown.symbols, *begins.symbols} - {*states, time}
     parameters = sorted(symbols, key=str)
     names, parameter_names = names_of(_WHO, (*states, *inputs), parameters)
@@ -180,15 +168,18 @@ def from_sympy(
         parameters=parameter_names,
         rates=written(f"{_WHO}: rates", rates.values(), known, unsolved),
         mass=written(f"{_WHO}: mass_matrix", mass, known, unsolved) if mass else None,
-        names=tuple(formulas),
         outputs=written(
             f"{_WHO}: outputs",
-            [formula.xreplace(slopes) for formula in formulas.values()],
+            {name: formula.xreplace(slopes) for name, formula in formulas.items()},
             [*known, *dots.values()],
             "Of derivatives, the rates of states may stand there; give an input's as an input of its own.",
         ),
-        started=tuple(map(name_of, follow)),
-        start=written(f"{_WHO}: start", follow.values(), parameters, "Give numbers, or expressions of parameters."),
+        start=written(
+            f"{_WHO}: start",
+            {name_of(state): value for state, value in follow.items()},
+            parameters,
+            "Give numbers, or expressions of parameters.",
+        ),
         units=units_for(_WHO, units, formulas),
     )
     start_values = {
@@ -203,7 +194,6 @@ class _Formulas(NamedTuple):
     """Formulas without their numbers: the structure, which determines what is compiled."""
 
     parameters: tuple[str, ...]
-    names: tuple[str, ...]
     outputs: Program
     units: tuple[tuple[str, str], ...]
 
@@ -220,8 +210,7 @@ class SymPyFormulas(AlgebraicSystem):
 
     @override
     def outputs(self) -> dict[str, Array]:
-        values = [self.numbers[name] for name in self.formulas.parameters]
-        return dict(zip(self.formulas.names, self.formulas.outputs(values), strict=True))
+        return self.formulas.outputs.by_name([self.numbers[name] for name in self.formulas.parameters])
 
 
 def from_sympy_formulas(
@@ -245,6 +234,5 @@ def from_sympy_formulas(
     symbols = contents_of(who, formulas.values()).symbols
     _, names = names_of(who, (), symbols)
     moves = "Use al.foreign.from_sympy for a system that moves."
-    program = written(who, formulas.values(), symbols, moves)
-    units_of = units_for(who, units, formulas)
-    return SymPyFormulas(numbers_for(who, symbols, given), _Formulas(names, tuple(formulas), program, units_of))
+    structure_of = _Formulas(names, written(who, formulas, symbols, moves), units_for(who, units, formulas))
+    return SymPyFormulas(numbers_for(who, symbols, given), structure_of)

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aleator._core.border import meant, refusal
+from aleator._core.border import meant, one_of
 from aleator._core.errors import ProblemError
 from aleator.foreign._robot import (
     Robot,
@@ -32,21 +32,19 @@ from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revol
 _AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}
 _KINDS = (*_AXIAL, "fixed", "floating")
 # What is read, and what has no part in the motion of a tree of bodies.
-_READ: Mapping[str, frozenset[str]] = {
-    "robot": frozenset({"link", "joint", "material"}),
-    "link": frozenset({"inertial", "visual", "collision"}),
-    "joint": frozenset(
-        {"origin", "parent", "child", "axis", "dynamics", "limit", "mimic", "calibration", "safety_controller"}
-    ),
+_READ = {
+    "robot": ("link", "joint", "material"),
+    "link": ("inertial", "visual", "collision"),
+    "joint": ("origin", "parent", "child", "axis", "dynamics", "limit", "mimic", "calibration", "safety_controller"),
 }
 # The attributes of elements that say where things are and what they weigh: another one is a slip of the pen.
-_ATTRIBUTES: Mapping[str, frozenset[str]] = {
-    "origin": frozenset({"xyz", "rpy"}),
-    "axis": frozenset({"xyz"}),
-    "mass": frozenset({"value"}),
-    "inertia": frozenset({"ixx", "iyy", "izz", "ixy", "ixz", "iyz"}),
-    "parent": frozenset({"link"}),
-    "child": frozenset({"link"}),
+_ATTRIBUTES = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "mass": ("value",),
+    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
+    "parent": ("link",),
+    "child": ("link",),
 }
 
 
@@ -67,10 +65,10 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
     Raises `ProblemError`, with the file and the element, for what is no URDF, no tree or no possible body.
     """
     left_out = checked_effects("read_urdf", leave_out)
-    if not isinstance(floating, bool):
-        raise refusal("read_urdf: floating", "True or False", floating)
+    one_of("read_urdf: floating", floating, bool)
     root = root_of("read_urdf", path, "robot")
-    _refuse_foreign(path, root)
+    if any("xacro" in str(element.tag) or "${" in "".join(element.attrib.values()) for element in root.iter()):
+        raise broken(path, "", "expected no macros of xacro. Expand them first: xacro FILE > robot.urdf.")
     links, joints = (_named(path, root, tag) for tag in ("link", "joint"))
     names = carriers({name: name for name in joints}, links)
     bodies = [_body(links[_root(path, links, joints)], None, Free() if floating else Fixed())]
@@ -89,11 +87,18 @@ class _Place(NamedTuple):
     element: Element
 
     def child(self, tag: str) -> "_Place":
-        """The element of a tag within; one without attributes if there is none. Raises `ProblemError` for several."""
+        """The element of a tag within; one without attributes if there is none.
+
+        Raises `ProblemError` for several, and for attributes that it does not have.
+        """
         found = self.element.findall(tag)
         if len(found) > 1:
             raise self.broken(f"expected one <{tag}>; received {len(found)}.")
-        return _Place(self.path, f"{self.where}, <{tag}>", found[0] if found else Element(tag))
+        place = _Place(self.path, f"{self.where}, <{tag}>", found[0] if found else Element(tag))
+        known = _ATTRIBUTES.get(tag, tuple(place.element.attrib))
+        if others := [attribute for attribute in place.element.attrib if attribute not in known]:
+            raise place.broken(f"expected some of {list(known)}; received {others[0]!r}.")
+        return place
 
     def has(self, tag: str) -> bool:
         """Whether there is an element of a tag within."""
@@ -113,8 +118,7 @@ class _Place(NamedTuple):
         text, found = self.text(attribute), ()
         with contextlib.suppress(ValueError):
             found = tuple(map(float, text.split()))
-        # Python takes 1_000 for a number, and no other reader of these files does.
-        if len(found) != count or "_" in text or not np.isfinite(found).all():
+        if len(found) != count or not np.isfinite(found).all():
             raise self.broken(f"expected {attribute} as finite numbers, {count} of them; received {text!r}.")
         return found
 
@@ -152,8 +156,7 @@ def _root(path: str | Path, links: Mapping[str, _Place], joints: Mapping[str, _P
     for name, joint in joints.items():
         for end in ("parent", "child"):
             if (link := joint.child(end).text("link")) not in links:
-                text = f"expected a link of the file as its {end}; received '{link}', which is none of {sorted(links)}."
-                raise joint.broken(text[:300])
+                raise joint.broken(f"expected a link of the file as its {end}; received '{link}'.{meant(link, links)}")
         if (other := carried.setdefault(link := joint.child("child").text("link"), name)) != name:
             raise links[link].broken(
                 f"expected one joint that carries it; received '{other}' and '{name}'. A tree has no loops: remove one "
@@ -249,23 +252,6 @@ def _notes(root: Element, links: Mapping[str, _Place], limits: Collection[str]) 
         yield f"Links without <inertial> have no mass: {', '.join(bare)}."
     for owner, tags in _READ.items():
         elements = [root] if owner == "robot" else root.findall(owner)
-        others = sorted({str(child.tag) for element in elements for child in element} - tags)
+        others = sorted({str(child.tag) for element in elements for child in element}.difference(tags))
         if others:
             yield f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}."
-
-
-def _refuse_foreign(path: str | Path, root: Element) -> None:
-    """Raise `ProblemError` for macros, and for elements and attributes that are nearly those that are read."""
-    for element in root.iter():
-        if "xacro" in str(element.tag) or any("${" in value for value in element.attrib.values()):
-            expand = "Expand them first: xacro FILE > robot.urdf."
-            raise broken(path, "", f"expected a URDF; received one with macros of xacro. {expand}")
-    for owner in (*root.findall("link"), *root.findall("joint")):
-        place = _Place(path, f"{owner.tag} '{owner.get('name', '')}'", owner)
-        for tag in (str(child.tag) for child in owner):
-            if tag not in _READ[owner.tag] and (hint := meant(tag, _READ[owner.tag])):
-                raise place.broken(f"expected one of {sorted(_READ[owner.tag])}; received <{tag}>.{hint}")
-        for part in (*owner.findall("*"), *owner.findall("inertial/*")):
-            known = _ATTRIBUTES.get(str(part.tag), part.attrib.keys())
-            if others := sorted(set(part.attrib) - known):
-                raise place.broken(f"<{part.tag}>: expected some of {sorted(known)}; received {others[0]!r}.")

@@ -107,9 +107,6 @@ class Entry:
             time = f"{self.seconds:.2g} s"
         return f"{self.state.value:<12} {'  '.join(filter(None, [what, self.name, time, self.why]))}"
 
-    def __str__(self) -> str:
-        return self.described(self.what)
-
 
 def read(path: Path) -> tuple[dict[str, Entry], int]:
     """The last entry of each key, in the order of beginnings, and the size of a journal's lines in bytes.
@@ -156,12 +153,11 @@ def numbered(entries: Iterable[Entry]) -> dict[str, Entry]:
 
 def _is_alive(process: int) -> bool:
     """Whether there is such a process, or that cannot be known."""
-    if sys.platform == "win32" or process <= 0:
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+    if sys.platform != "win32":
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:  # somebody else's
+            return True
     return True

@@ -13,7 +13,7 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.identity import DoubtError
+from aleator._core.identity import DoubtError, joined
 from aleator._core.journalled import (
     AbstractEntry,
     AbstractJournal,
@@ -155,7 +155,7 @@ class Journal(AbstractRecord):
     def __init__(self, folder: Path, *, afresh: bool = False):
         entries, size = read(folder / FILE)
         super().__init__(folder, entries.values(), lambda said: self.warn(f"{said} It is computed again."))
-        self.recalled, self.begun, self.taken = 0, 0, set[str]()
+        self.recalled, self.begun, self.taken, self._asked = 0, 0, set[str](), set[str]()
         self._earlier = {key for key, entry in entries.items() if entry.is_finished}
         self._outdated = set(self._earlier) if afresh else set[str]()
         self._afresh = afresh
@@ -172,8 +172,10 @@ class Journal(AbstractRecord):
             key, title, parts = self._keys.identity(what, given)
         except DoubtError as doubt:
             title = done_with(what, given)
+            self._asked.add(title)
             self.warn(f"{title} is not kept: another run could not tell whether it is the same ({doubt}).")
             return Settled()
+        self._asked.add(key)
         begun = Entry.begun(key, title, parts, called())
         waiting = self._known.get(begun.waits_as)
         begun = begun if waiting is None else replace(begun, name=waiting.name)
@@ -220,6 +222,11 @@ class Journal(AbstractRecord):
             before = [entry for entry in self.entries if entry.name == name and entry.key != key]
             if before or self._known[key].name != name:
                 self.append(*(replace(entry, name="") for entry in before), replace(self._known[key], name=name))
+
+    def contents(self) -> str:
+        """A digest of all results that were asked for so far; empty if there are none, or if one is not kept."""
+        kept = [f"{entry.key} {entry.digest}" for entry in self.entries if entry.key in self._asked and entry.file]
+        return joined(kept) if len(kept) == len(self._asked) > 0 else ""
 
     def append(self, *entries: Entry) -> bool:
         """Write lines, whole, at the end of the journal; returns whether they are there."""
@@ -306,12 +313,8 @@ def _prepare(folder: Path, size: int) -> None:
         place.mkdir(exist_ok=True)
         with suppress(FileNotFoundError):
             os.truncate(folder / FILE, size)
-    except FileExistsError:
-        raise ProblemError(
-            f"'{place}' is a file; expected a folder for finished results. Move it away, or name another folder."
-        ) from None
     except OSError as error:
-        raise ProblemError(f"The folder '{folder}' cannot take a journal ({error.strerror}): name another.") from error
+        raise ProblemError(f"'{place}' cannot take results ({error.strerror}): name another folder.") from error
 
 
 def _state_of(result: Any) -> State:

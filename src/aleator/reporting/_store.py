@@ -103,6 +103,8 @@ Result: TypeAlias = "Solution | Evidence | Front | TradeOff | Calibration | xarr
 PAGE = "report.html"
 """The page of a study, beside its results."""
 
+_RESULTS, _DESIGNS, _CONTENTS = "results.nc", "designs.json", "contents"
+
 
 def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
     """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
@@ -120,21 +122,41 @@ def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") 
     return _write(folder, kept, ())
 
 
-def save_study(folder: str | Path, results: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Write results that are `savable`, and remove an earlier page, which would show other numbers."""
-    return _write(folder, results, (PAGE,))
+def save_study(folder: Path, results: Mapping[str, Any], contents: str = "") -> tuple[Path, ...]:
+    """Write results that are `savable`, and remove an earlier page, which would show other numbers.
+
+    `contents`: a digest of all that they follow from, if that is known; files that have the same one stay as they are.
+    """
+    names = [_RESULTS, *[_DESIGNS] * any(isinstance(result, Solution) for result in by_place(results).values())]
+    paths = tuple(folder / name for name in names)
+    if contents and all(path.exists() for path in paths) and _contents_of(folder / _RESULTS) == contents:
+        return paths
+    return _write(folder, results, (PAGE,), contents)
 
 
-def _write(folder: str | Path, results: Mapping[str, Any], outdated: Sequence[str]) -> tuple[Path, ...]:
+def _contents_of(path: Path) -> str:
+    """The digest with which a study's results were written."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return str(file.attrs.get(_CONTENTS, ""))
+    except OSError:  # it is damaged
+        return ""
+
+
+def _write(
+    folder: str | Path, results: Mapping[str, Any], outdated: Sequence[str], contents: str = ""
+) -> tuple[Path, ...]:
     """Write one set of results, and remove outdated files with the earlier set."""
     generation = uuid.uuid4().hex
     nodes = tree(results)
-    nodes.attrs |= {"generation": generation, **environment()}
+    nodes.attrs |= {"generation": generation, _CONTENTS: contents, **environment()}
     document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
     files = {
         # In memory, since on a full disk HDF5 fails to close its file and ends the process.
-        "results.nc": bytes(nodes.to_netcdf(engine="h5netcdf")),
-        "designs.json": json_text(document).encode("utf-8") if document else None,
+        _RESULTS: bytes(nodes.to_netcdf(engine="h5netcdf")),
+        _DESIGNS: json_text(document).encode("utf-8") if document else None,
     }
     return write_together(folder, {**files, **dict.fromkeys(outdated)})
 

@@ -15,6 +15,7 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
 from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy, CaseStudy
+from aleator_command._studies import STUDIES as STUDIES
 
 
 def load_file(path: Path) -> AbstractStudy:
@@ -113,17 +114,6 @@ def _executed(path: Path) -> ModuleType:
 
 # A module with a package or an object, or both.
 _MODULE = re.compile(r"\w+(\.\w+)+(:\w+)?|\w+:\w+")
-
-
-# What each is about.
-STUDIES = {
-    "suspension": "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
-    "clutch": "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
-    "pick-and-place-effort": "Two-link arm, uncertain payload: least effort, least spread at the end (section 5.5.1)",
-    "pick-and-place-time": "Two-link arm, uncertain payload: least time, and the margin that it takes (section 5.5.2)",
-    "swing-up": "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
-    "four-bar": "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",
-}
 
 
 def load(name: str, *, quick: bool = False) -> AbstractStudy:

@@ -3,7 +3,3 @@
 `_instance` calls the compiled code; `_library` simulates it, behind a door (`_doors`): in a process of its own or in
 this one. `_fmu` says what a file offers, `_simulation` and `_system` are functions of JAX.
 """
-
-from aleator.foreign._fmu._fmu import Fmu as Fmu
-from aleator.foreign._fmu._simulation import FmuSimulation as FmuSimulation
-from aleator.foreign._fmu._system import FmuSystem as FmuSystem

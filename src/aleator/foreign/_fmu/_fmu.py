@@ -6,14 +6,14 @@ import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import content_of, meant, one_of, positive, refusal, shown
+from aleator._core.border import content_of, meant, members, one_of, positive, refusal, shown
 from aleator._core.errors import ProblemError, optional
 from aleator.foreign._fmu._doors import OwnProcess
 from aleator.foreign._fmu._library import Library
@@ -21,11 +21,8 @@ from aleator.foreign._fmu._library import Library
 # What users call the interfaces, and FMI and its tools do. The first one offered is the default.
 _KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
 _REAL = ("Real", "Float64")  # in FMI 2 and 3
-# What a value of a type is, in words; of others, a whole number.
-_VALUES: dict[str, tuple[str, Any]] = {"Boolean": ("True or False", bool), "String": ("a text", str)}
-_VALUES |= dict.fromkeys((*_REAL, "Float32"), ("a number", (int, float)))
-# As many names are listed in a message, and characters of another library's message repeated.
-_LISTED, _LONGEST = 6, 160
+# As many characters of another library's message are repeated.
+_LONGEST = 160
 
 
 @final
@@ -67,16 +64,16 @@ class Fmu:
         self.name, (description, self._digest) = path.stem, unpacked(path, folder)
         self.kind, self.variables = kind_of(self.name, description, kind), Variables(self.name, description)
         self.variables.refuse_settings(settings)
-        self._version, self._indicators = description.fmiVersion, int(description.numberOfEventIndicators)
+        self._version, self.indicators = description.fmiVersion, int(description.numberOfEventIndicators)
         self.is_exchange = self.kind == "model exchange"
         self.states = self.variables.states() if self.is_exchange else []
-        self._given = path.absolute(), self.kind, tuple(settings.items()), own_process, limit
+        self._given = path.absolute(), tuple(settings.items()), self.kind, own_process, limit
         opening = self.name, str(folder), self.is_exchange, settings
         self.door = OwnProcess(*opening, time_limit=limit) if own_process else Library(*opening)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as its file, which must be the same there."""
-        return _opened_again, (*self._given, self._digest)
+        return _opened_again, (self._digest, *self._given)
 
     @property
     def parameters(self) -> list[str]:
@@ -95,22 +92,16 @@ class Fmu:
 
     def __str__(self) -> str:
         listed = {name: getattr(self, name) for name in ("parameters", "inputs", "states", "outputs")}
-        events = f"; {self._indicators} event indicators" if self.is_exchange and self._indicators else ""
+        events = f"; {self.indicators} event indicators" if self.is_exchange and self.indicators else ""
         lines = [f"  {name}: {', '.join(variables) or 'none'}" for name, variables in listed.items()]
         return "\n".join([f"FMU '{self.name}': FMI {self._version}, {self.kind}{events}", *lines])
 
 
 # Each task that a worker is sent has the model anew: the FMU stays open for the next one.
 @functools.lru_cache(maxsize=4)
-def _opened_again(
-    path: Path,
-    kind: str,
-    settings: tuple[tuple[str, Any], ...],
-    own_process: bool,
-    time_limit: float | None,
-    digest: str,
-) -> Fmu:
-    fmu = Fmu(path, kind=kind, settings=dict(settings), own_process=own_process, time_limit=time_limit)
+def _opened_again(digest: str, path: Path, settings: tuple[tuple[str, Any], ...], *given: Any) -> Fmu:
+    kind, own_process, time_limit = given
+    fmu = Fmu(path, settings=dict(settings), kind=kind, own_process=own_process, time_limit=time_limit)
     if fmu._digest != digest:
         raise ProblemError(f"FMU '{fmu.name}': '{path}' has changed since the model was made: make the model again.")
     return fmu
@@ -128,9 +119,7 @@ def unpacked(path: Path, folder: Path) -> tuple[Any, str]:
         fmpy.extract(str(path), str(folder))
         platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
-        is_lacking = isinstance(error, AttributeError | TypeError)
-        reason = "it lacks what FMI requires" if is_lacking else str(getattr(error, "problems", [error])[0])
-        words = " ".join(reason.split())[:_LONGEST].rstrip(".")
+        words = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
@@ -176,30 +165,24 @@ class Variables:
         """The real variables of a causality."""
         return [name for name, variable in self.all.items() if variable.causality == causality and _is_number(variable)]
 
-    def settable(self, names: Iterable[Any], *, of_any_type: bool = False) -> list[str]:
-        """Names, each checked to be of a variable, a real one, that may be set before the start, or `ProblemError`."""
-        expected = "a parameter, an input or an initial value"
-        return self._checked(names, expected, "parameter", _is_settable, of_any_type=of_any_type)
+    def settable(self, names: Iterable[Any]) -> list[str]:
+        """Names, each checked to be of a real variable that may be set before the start, or `ProblemError`."""
+        return self._checked(names, "a parameter, an input or an initial value", _is_settable)
 
     def inputs(self, names: Iterable[Any]) -> list[str]:
         """Names, each checked to be of a real input, or `ProblemError`."""
-        return self._checked(names, "an input", "input", lambda variable: variable.causality == "input")
+        return self._checked(names, "an input", lambda variable: variable.causality == "input")
 
     def readable(self, names: Any) -> list[str]:
         """Names, by default of all outputs, each checked to be of a real variable, or `ProblemError`."""
-        names = self.of("output") if names is None else names
-        is_list = isinstance(names, Sequence) and not isinstance(names, str | bytes)
-        if not (is_list and names) or len(set(map(str, names))) < len(names):
+        names = self.of("output") if names is None else members(f"{self._who}: outputs", names, str)
+        if not names or len(set(names)) < len(names):
             raise refusal(self._who, "a list of variables to read, each once", names)
-        return self._checked(names, "a variable", "output", lambda _: True)
+        return self._checked(names, "a variable", lambda _: True)
 
-    def refuse_settings(self, settings: Mapping[str, Any]) -> None:
-        """Raise `ProblemError` for settings that are no values of variables of any type."""
-        self.settable(settings, of_any_type=True)
-        for name, value in settings.items():
-            words, kinds = _VALUES.get(self.all[name].type, ("a whole number", int))
-            if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
-                raise refusal(f"{self._who}: '{name}'", words, value)
+    def refuse_settings(self, settings: Iterable[Any]) -> None:
+        """Raise `ProblemError` for names that are no variables, of any type, that may be set before the start."""
+        self._checked(settings, "a parameter, an input or an initial value", _is_settable, of_any_type=True)
 
     def nominals(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
         """The usual sizes that variables declare; 1 for others."""
@@ -211,35 +194,24 @@ class Variables:
         return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
 
     def _checked(
-        self,
-        names: Iterable[Any],
-        expected: str,
-        causality: str,
-        fits: Callable[[Any], bool],
-        *,
-        of_any_type: bool = False,
+        self, names: Iterable[Any], expected: str, fits: Callable[[Any], bool], *, of_any_type: bool = False
     ) -> list[str]:
-        names, near = list(names), self.of(causality)
-        listed = (", ".join(f"'{name}'" for name in near[:_LISTED]) or "none") + ", …" * (len(near) > _LISTED)
+        names = list(names)
         for name in names:
             if name not in self.all:
-                hint = isinstance(name, str) and meant(name, list(self.all))
-                raise ProblemError(
-                    f"{self._who} has no variable {shown(name)}.{hint or f' Expected one like {listed}.'}"
-                )
+                hint = meant(f"{name}", self.all)
+                raise ProblemError(f"{self._who} has no variable {shown(name)}.{hint or ' Print it to see its names.'}")
             variable = self.all[name]
-            if variable.shape or not (of_any_type or _is_number(variable)):
+            if not (of_any_type or _is_number(variable)):
                 raise ProblemError(
-                    f"{self._who}: expected a real variable of one number; received '{name}' of type {variable.type}"
-                    f"{f' and shape {variable.shape}' if variable.shape else ''}. Other types are set for all runs by "
-                    "Fmu(settings={...})."
+                    f"{self._who}: expected a real variable of one number; received '{name}' of type {variable.type}. "
+                    "Other types are set for all runs by Fmu(settings={...})."
                 )
             if not fits(variable):
-                why = "which is constant" if variable.variability == "constant" else "which the FMU computes"
-                why = why if variable.causality not in ("parameter", "input") else "which is none"
+                why = "" if variable.causality in ("parameter", "input") else ", which the FMU computes"
                 raise ProblemError(
-                    f"{self._who}: expected {expected}, such as {listed}; received '{name}', {why} (causality "
-                    f"'{variable.causality}', variability '{variable.variability}')."
+                    f"{self._who}: expected {expected}; received '{name}'{why} (causality '{variable.causality}', "
+                    f"variability '{variable.variability}')."
                 )
         return names
 
@@ -251,9 +223,3 @@ def _is_number(variable: Any) -> bool:
 def _is_settable(variable: Any) -> bool:
     is_first = variable.variability != "constant" and variable.initial == "exact"
     return is_first or variable.causality in ("input", "structuralParameter")
-
-
-def with_numbers(numbers: Mapping[str, float]) -> str:
-    """Values of variables as the end of a sentence; empty if there are none."""
-    listed = ", ".join(f"{name}={value:.6g}" for name, value in numbers.items())
-    return f", with {listed}" if listed else ""

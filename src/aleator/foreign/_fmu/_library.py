@@ -76,19 +76,18 @@ class Library:
     def first(self, parameters: Mapping[str, float | None], inputs: Sequence[str]) -> dict[str, Any]:
         """How the equations begin, for values of parameters, None for the FMU's own.
 
-        Values of the `inputs` and `parameters`, the `states` and their usual sizes, and how many `indicators` of events
-        there are, and whether some are known by their time.
+        Values of the `inputs` and `parameters`, the `states` and their usual sizes, and whether an event is known by
+        its time.
         """
-        with self._started({}, 0.0, _TOLERANCE) as instance:
-            own, u = (
-                instance.get(self._loaded.references(list(parameters))),
-                instance.get(self._loaded.references(inputs)),
-            )
-            is_timed = bool(np.isfinite(instance.next_event))
-        p = np.array([its if value is None else value for value, its in zip(parameters.values(), own, strict=True)])
-        with self._started(dict(zip(parameters, p.tolist(), strict=True)), 0.0, _TOLERANCE) as instance:
-            start = {"inputs": u, "parameters": p, "states": instance.state(), "nominals": instance.nominals()}
-        return start | {"indicators": self._loaded.indicators, "is_timed": is_timed}
+        known = {name: value for name, value in parameters.items() if value is not None}
+        with self._started(known, 0.0, _TOLERANCE) as instance:
+            return {
+                "inputs": instance.get(self._loaded.references(inputs)),
+                "parameters": instance.get(self._loaded.references(list(parameters))),
+                "states": instance.state(),
+                "nominals": instance.nominals(),
+                "is_timed": bool(np.isfinite(instance.next_event)),
+            }
 
     def rates(
         self,

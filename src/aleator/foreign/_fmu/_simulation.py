@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.border import one_of, positive, real, refusal
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
-from aleator.dynamics import Grid
-from aleator.foreign._fmu._fmu import Fmu, with_numbers
+from aleator.dynamics import Grid, check_span
+from aleator.foreign._fmu._fmu import Fmu
 from aleator.trajectories import AbstractSignal
 
 # Relative to a parameter. The error of the formula is about 1e-9 of a smooth function; noise of a solver is magnified
@@ -95,7 +95,7 @@ class FmuSimulation:
         return f"{self._who}, {self._fmu.kind}, {span}: {', '.join(self._outputs)}"
 
     def _run(self, start: Mapping[str, float], tolerance: float) -> Float[np.ndarray, "instants outputs"]:
-        where = with_numbers(start)
+        where = ", with " * bool(start) + ", ".join(f"{name}={value:.6g}" for name, value in start.items())
         try:
             return self._fmu.door.ask("run", start, self._outputs, self.times, self._inputs, tolerance, where=where)
         except SimulationError as error:
@@ -151,18 +151,15 @@ class FmuSimulation:
 
     def _sampled(self, name: str, signal: Any) -> Float[np.ndarray, " instants"]:
         """A signal at the instants. Raises `ProblemError` if it does not fit."""
-        who, grid = f"{self._who}, input '{name}'", self._grid
+        who, grid = f"{self._who}, input '{name}',", self._grid
         one_of(who, signal, AbstractSignal, "al.Tabulated(times, values), or a constant among the parameters")
-        first, last = signal.over(grid.t_start, grid.t_final).span()
-        if float(grid.t_start) < first or float(grid.t_final) > last:
-            span = f"from {grid.t_start:g} to {grid.t_final:g} s"
-            raise ProblemError(f"{who}: expected a signal {span}; it is known from {first:g} to {last:g} s.")
+        check_span(who, signal.over(grid.t_start, grid.t_final), grid)
         try:
             values = np.asarray(signal.sampled(grid.fractions, grid.t_start, grid.t_final))
         except (TypeError, jax.errors.JAXTypeError) as error:
             raise refusal(who, "a signal of known numbers", signal) from error
-        if values.shape != (len(grid.fractions),) or not np.isfinite(values).all():
-            raise refusal(who, "one finite number at each instant", values)
+        if values.shape != (len(grid.fractions),):
+            raise refusal(who, "one number at each instant", values)
         return values
 
 

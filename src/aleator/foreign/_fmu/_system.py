@@ -134,8 +134,7 @@ class Equations:
     def __init__(self, fmu: Fmu, numbers: dict[str, float | None], inputs: list[str], outputs: list[str]):
         self.fmu, self.numbers, self.inputs, self.outputs = fmu, numbers, inputs, outputs
         self.first: dict[str, Any] = fmu.door.ask("first", numbers, inputs, where=" at its initial state")
-        if self.first["indicators"] or self.first["is_timed"]:
-            count = self.first["indicators"]
+        if (count := fmu.indicators) or self.first["is_timed"]:
             events = f"{count} event indicator{'s' * (count > 1)}" if count else "time events"
             raise ProblemError(
                 f"FmuSystem: expected an FMU whose equations hold at all times; '{fmu.name}' has {events}. Use "
