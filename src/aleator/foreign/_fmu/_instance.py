@@ -28,6 +28,8 @@ _IN_FMI_2 = {
     "getContinuousStateDerivatives": "getDerivatives",
     "updateDiscreteStates": "newDiscreteStates",
 }
+# Most updates of the discrete states at one event.
+_MOST_UPDATES = 1000
 
 
 class Loaded:
@@ -146,6 +148,8 @@ class Instance:
         self._call("enterEventMode")
         self._update()
         self._call("enterContinuousTimeMode")
+        if self.next_event <= (self._time or 0.0):
+            raise SimulationError(f"FMU '{self.name}' asks for one more event {self._when()}, without end.")
 
     # --- Co-simulation ---
 
@@ -198,12 +202,14 @@ class Instance:
 
     def _update(self) -> None:
         """Update the discrete states until they stay as they are."""
-        again, is_timed, next_event = True, False, np.inf
-        while again:
+        for _ in range(_MOST_UPDATES):
             again, ends, _, _, is_timed, next_event = self._call("updateDiscreteStates")
             if ends:
                 raise self._ended()
-        self.next_event = float(next_event) if is_timed else np.inf
+            if not again:
+                self.next_event = float(next_event) if is_timed else np.inf
+                return
+        raise SimulationError(f"FMU '{self.name}' does not find its state after an event {self._when()}{_said()}.")
 
     def _when(self) -> str:
         return "to initialise" if self._time is None else f"at t = {self._time:.6g} s"
