@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.stats import norm
+from scipy.stats import norm, weibull_min
 
 import aleator as al
 from compiling import compiled
@@ -198,6 +198,15 @@ def test_bounds_are_found_inside_and_of_each_output():
     values = np.linspace(0.0, 3.0, 100_001)
     assert ratio.upper == pytest.approx(np.max(0.1 * np.abs(np.sin(values)) / (1 + (values - 1) ** 2)), rel=1e-5)
     assert outputs.at({"a": 1.0})["wave"].mean == pytest.approx(np.sin(1.0), abs=1e-6)
+
+
+def test_a_spread_that_is_not_followed_where_an_interval_ends_is_warned_of():
+    # At the shape 4 the exact spread is 0.2543.
+    with pytest.warns(al.ExpansionWarning, match=r"At w\.shape = 4 the expansion of order 6 errs"):
+        spread = al.expand(
+            lambda one: one["w"], {"w": al.Weibull(1.0, al.Interval(1.0, 4.0))}, al.Expansion(order=6)
+        ).std
+    assert spread.lower == pytest.approx(weibull_min(4.0).std(), rel=0.1)
 
 
 def test_histories_have_bounds_at_each_instant_and_derivatives_at_values_of_the_interval():

@@ -21,6 +21,15 @@ def test_torques_of_a_motion_work_against_the_wind_and_so_do_their_rates():
     np.testing.assert_allclose(found["x_torque_rate"], -15.0 * np.cos(5 * t), rtol=1e-11, atol=1e-11)
 
 
+def test_a_table_in_a_model_is_a_force_over_time_also_where_it_is_uncertain():
+    table = al.Tabulated([0.0, 1.0], [al.Normal(2.0, 0.1), 4.0])
+    system = al.InverseDynamics(Cart(wind=table), motion={"x": al.PowerSeries(start=(0.0, 0.0, 4.0))})
+    torque = al.expand(lambda one: al.simulate(one, al.Grid(1.0, 20))["x_torque"], system, al.Expansion(order=1))
+    t = np.linspace(0.0, 1.0, 21)
+    np.testing.assert_allclose(torque.mean, 8.0 - (2.0 + 2.0 * t), rtol=1e-12)
+    np.testing.assert_allclose(torque.std, 0.1 * (1.0 - t), atol=1e-12)
+
+
 class Leaking(al.Multibody):
     """Sand runs out of a cart that nothing pushes."""
 

@@ -133,6 +133,14 @@ STAY_POSITIVE = {
 }
 
 
+def test_a_number_declared_positive_is_so_in_expansions_and_samples_too():
+    for verb in (al.expand, al.references.monte_carlo, al.references.linearise):
+        with pytest.raises(al.ProblemError, match="'m' must stay positive, but Normal"):
+            verb(lambda one: one.m, Mass(al.Normal(1.0, 1.0)))
+    with pytest.raises(al.ProblemError, match="'m' must stay positive, but Normal"):
+        al.foreign.ask(Mass(al.Normal(1.0, 1.0)))
+
+
 def test_what_can_reach_zero_is_refused_by_name():
     for value in REACH_ZERO.values():
         with pytest.raises(ProblemError, match="'m' must stay positive"):

@@ -24,6 +24,7 @@ from aleator.ensemble import (
     TracedEnsemble,
     at_levels,
     concrete,
+    corners_of,
     ensemble_for,
     even_levels,
     uncertain_places,
@@ -48,6 +49,10 @@ from aleator.uncertainty import AbstractDistribution, AbstractGerm, Interval, co
 # Fresh points of a traced function: so many, and at least this part of the collocation points; of a called one, which
 # may take long.
 _FRESH, _PART, _FRESH_CALLED = 8, 10, 2
+# At so many corners of the box of intervals, if there are more.
+_MOST_ENDS = 4
+# An output that spreads less at such a corner, as a part of how it varies in all, is certain there.
+_LITTLE = 0.01
 # Fresh points by which elements of a function are checked that is called, which may take long.
 _CALLED = 128
 
@@ -121,24 +126,34 @@ def expand(
     expanded = told(coefficients, collocation, samples)
     if not sampler.intervals:
         return expanded
-    over = over_intervals(expanded, sampler.random, sampler.intervals)
-    _warn_of_intervals(over)
-    return over
+    of_known = over_intervals(told(terms, known, at_points), sampler.random, sampler.intervals)
+    _warn_of_ends(of_known, fresh[present[count:]], jax.tree.map(lambda values: values[kept:], values))
+    return over_intervals(expanded, sampler.random, sampler.intervals)
 
 
-def _warn_of_intervals(over: OverIntervals) -> None:
-    """Warn of outputs that are resolved beside what intervals change, but not beside what is random."""
-    pairs = zip(*map(jax.tree.leaves, (over.joint.error, over.error)), strict=True)
-    known = [(float(whole), float(random)) for whole, random in pairs if not is_traced((whole, random))]
-    missed = [random for whole, random in known if whole <= over.joint.tolerance]
-    worst = max(missed, default=0.0)
-    if worst > over.joint.tolerance:
-        warnings.warn(
-            f"The expansion of order {over.joint.basis.order} follows the intervals, but errs by {worst:.2g} of the "
-            "spread that the uncertain inputs cause: spreads and probabilities are unreliable. Raise the order.",
-            ExpansionWarning,
-            stacklevel=3,
-        )
+def _warn_of_ends(over: OverIntervals, fresh: Float[np.ndarray, "fresh variables"], outputs: Pytree) -> None:
+    """Warn of outputs that are not resolved beside what is random where intervals end, there being all fresh points."""
+    if is_traced((over.joint.coefficients, outputs)):
+        return
+    random, ends = np.split(fresh, [len(over.basis.germs)], axis=1)
+    for end in np.unique(ends, axis=0):
+        here, given = (ends == end).all(axis=1), over.given((end + 1) / 2)
+        matrix, worst = given.basis.matrix(random[here]), 0.0
+        for values, own, whole in zip(
+            *map(jax.tree.leaves, (outputs, given.coefficients, over.joint.coefficients)), strict=True
+        ):
+            missed = np.sum((values[here] - np.tensordot(matrix, own, axes=1)) ** 2) / len(matrix)
+            spread = np.sum(np.square(own)[1:]) + missed, _LITTLE**2 * np.sum(np.square(whole)[1:])
+            worst = max(worst, float(np.sqrt(missed / max(*spread, np.finfo(float).tiny))))
+        if not worst <= over.joint.tolerance:
+            where = ", ".join(f"{name} = {x:.4g}" for name, x in over.numbers((end + 1) / 2).items())
+            warnings.warn(
+                f"At {where} the expansion of order {over.joint.basis.order} errs by {worst:.2g} of the spread that "
+                "uncertain inputs cause: spreads and probabilities are unreliable there. Raise the order.",
+                ExpansionWarning,
+                stacklevel=3,
+            )
+            return
 
 
 def _in_elements(sampler: "Sampler", settings: MultiElement) -> ElementExpanded:
@@ -274,8 +289,16 @@ class Sampler:
         return {name: distribution.initial() for name, distribution in self.places.distributions.items()}
 
     def fresh(self, collocation_points: int) -> Float[np.ndarray, "fresh variables"]:
-        """The fresh points at which an expansion by so many collocation points is checked."""
-        return fresh_points(self.places.germs, collocation_points, traced=self.is_traced)
+        """The fresh points at which an expansion by so many collocation points is checked; intervals are at their ends,
+        where polynomials err most.
+        """
+        fresh = fresh_points(self.places.germs, collocation_points, traced=self.is_traced)
+        if count := len(self.intervals):
+            ends = 2 * corners_of(count, _MOST_ENDS, np.random.default_rng(0)) - 1
+            at, times = (len(ends), len(fresh)) if self.is_traced else (1, 1)
+            fresh = np.tile(fresh, (at, 1))
+            fresh[:, -count:] = np.resize(np.repeat(ends, times, axis=0), (len(fresh), count))
+        return fresh
 
     def samples(self, points: Float[Array, "points variables"]) -> Pytree:
         """The function at germ points: its outputs with a leading axis for the points.

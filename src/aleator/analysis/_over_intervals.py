@@ -86,11 +86,11 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
             if not low <= value <= high:
                 raise ProblemError(f"at: expected '{name}' from {low:g} to {high:g}; received {value:g}.")
             point.append((value - low) / (high - low))
-        return self._given(np.array(point))
+        return self.given(np.array(point))
 
-    def _given(self, point: Float[np.ndarray, " intervals"]) -> Expanded:
+    def given(self, point: Float[np.ndarray, " intervals"]) -> Expanded:
         """The expansion at a point of the unit box of the intervals."""
-        values, joint, count = self._values(point), self.joint.basis, len(self.basis.germs)
+        values, joint, count = self.numbers(point), self.joint.basis, len(self.basis.germs)
         factors, germs = np.ones(joint.terms), list(joint.germs.values())
         for i, x in enumerate(point, count):
             factors *= germs[i].polynomials(joint.degrees[i], np.array([2 * x - 1]))[0][joint.indices[:, i]]
@@ -133,12 +133,12 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
                 "bounds: an extreme over intervals is sought with known numbers, outside of jax.grad and jax.jit; "
                 "differentiate a statistic at the values where the bound is, expanded.at(...)."
             )
-        first, structure = jax.tree.flatten(function(self._given(np.full(len(self.intervals), 0.5))))
+        first, structure = jax.tree.flatten(function(self.given(np.full(len(self.intervals), 0.5))))
         ends = np.cumsum([np.size(one) for one in first])
 
         def both(points: Points) -> Float[np.ndarray, "points sides"]:
             """Minus the numbers, and the numbers."""
-            leaves = (jax.tree.leaves(function(self._given(point))) for point in points)
+            leaves = (jax.tree.leaves(function(self.given(point))) for point in points)
             rows = np.stack([np.concatenate([np.ravel(np.asarray(one, dtype=float)) for one in row]) for row in leaves])
             return np.concatenate([-rows, rows], axis=1)
 
@@ -147,7 +147,7 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
             points = np.linspace(0.0, 1.0, _SCANNED)[:, None]
         seen = both(points)
         if not (finite := np.isfinite(seen).all(axis=1)).all():
-            where = ", ".join(f"{name} = {x:.6g}" for name, x in self._values(points[~finite][0]).items())
+            where = ", ".join(f"{name} = {x:.6g}" for name, x in self.numbers(points[~finite][0]).items())
             raise ProblemError(f"bounds: the statistic is not finite where {where}: narrow the interval.")
         best = np.column_stack([seen.max(axis=0), points[np.argmax(seen, axis=0)]])
         for i, range_ in enumerate(np.ptp(seen, axis=0)):
@@ -164,13 +164,13 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
 
         def bounds_of(one: Any, end: int) -> Bounds:
             some, shape = slice(end - np.size(one), end), np.shape(one)
-            places = (self._values(side[some, 1:].T) for side in (lower, upper))
+            places = (self.numbers(side[some, 1:].T) for side in (lower, upper))
             at = [{name: x.reshape(shape)[()] for name, x in one.items()} for one in places]
             return Bounds(-lower[some, 0].reshape(shape)[()], upper[some, 0].reshape(shape)[()], *at)
 
         return jax.tree.unflatten(structure, [bounds_of(one, end) for one, end in zip(first, ends, strict=True)])
 
-    def _values(self, points: Float[np.ndarray, "intervals *some"]) -> dict[str, Any]:
+    def numbers(self, points: Float[np.ndarray, "intervals *some"]) -> dict[str, Any]:
         """The numbers of the intervals at points of their unit box."""
         each = zip(self.intervals.items(), points, strict=True)
         return {name: one.lower + x * (one.upper - one.lower) for (name, one), x in each}

@@ -34,7 +34,7 @@ from aleator.ensemble._outputs import (
     outputs_of,
     refuse_nonfinite,
 )
-from aleator.uncertainty import Placements, placements, realised_over, refuse_intervals, with_germs
+from aleator.uncertainty import Placements, placements, realised_over, refuse_intervals, refuse_nonpositive, with_germs
 
 
 class Realisation(NamedTuple):
@@ -74,10 +74,12 @@ Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points
 def uncertain_places(verb: str, function: Function, model: Pytree, *, takes_intervals: bool = False) -> Placements:
     """The placements of a model, with germ variables of intervals if a method takes any.
 
-    Raises `ProblemError` if nothing is uncertain, or if `function` is not callable.
+    Raises `ProblemError` if nothing is uncertain, if a number declared positive can reach zero, or if `function` is not
+    callable.
     """
     if not callable(function):
         raise ProblemError(f"{verb}: expected a function of the model; received {type(function).__name__}.")
+    refuse_nonpositive(model)
     places = placements(model)
     if takes_intervals:
         places = with_germs(places)

@@ -19,7 +19,7 @@ from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
 from aleator.foreign._black_box import drop_given, most_of, sound, warn_of_dropped
 from aleator.trajectories import numbers_in, read_table
-from aleator.uncertainty import placements, refuse_intervals
+from aleator.uncertainty import placements, refuse_intervals, refuse_nonpositive
 
 if TYPE_CHECKING:
     import xarray
@@ -160,6 +160,7 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     """
     if not isinstance(expansion, Expansion | None):
         raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+    refuse_nonpositive(model)
     places = placements(model)
     refuse_intervals("ask", places)
     if not places.distributions:

@@ -289,7 +289,8 @@ def _leaves(model: eqx.Module) -> list[Any]:
 
 def _split(numbers: Any, signals: Sequence[AbstractSignal]) -> list[tuple[Any, ...]]:
     """The numbers of several signals in the shapes of their values; then those of their derivatives."""
-    shapes = [jax.eval_shape(signal, jax.ShapeDtypeStruct((), float)).shape for signal in signals]
+    # Not of a signal itself: JAX would hash it, with the arrays in it.
+    shapes = [jax.eval_shape(signal.__call__, jax.ShapeDtypeStruct((), float)).shape for signal in signals]
     xp, numbers = in_library(numbers)
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
     return [
