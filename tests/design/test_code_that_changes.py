@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core import equations, programs
 from zoo import cases
 
 GOAL = 1.0
@@ -128,17 +127,3 @@ def test_code_that_computes_something_else_each_time_is_refused_by_name(target, 
 
     with pytest.raises(al.ProblemError, match="Fickle computes something else each time"):
         al.Problem(Fickle(), grid=al.Grid(1.0, 2), minimize=al.terminal("x").mean)
-
-
-def test_the_second_trace_may_be_that_of_an_earlier_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(programs, "_folder", programs._made(tmp_path))
-    counts = []
-    for value in (2.0, 2.0, 3.0):
-        monkeypatch.setattr(equations, "_STEADY", set())  # as in another process
-        calls = []
-        declared(lambda self, value=value, calls=calls: calls.append(1) or value)
-        counts.append(len(calls))
-        # Neither this run's first trace nor its second is the next one's.
-        with pytest.raises(al.ProblemError, match="something else each time"):
-            declared(tossed)
-    assert counts[1] < counts[0] == counts[2]

@@ -20,7 +20,6 @@ from jax.interpreters import batching, mlir
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool
 
-from aleator._core import programs
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError
 
@@ -65,12 +64,8 @@ _STEADY: set[Digest] = set()
 
 
 def refuse_unsteady(name: str, digest: Digest, again: Callable[[], Digest]) -> None:
-    """Raise `ProblemError` if a second trace of a user's code called `name` has another digest than the first.
-
-    The second may be that of an earlier run: code that computes something else each time does so in each run.
-    """
-    mark = f"steady_{digest.text}" if digest.is_whole else None
-    if digest in _STEADY or programs.is_kept(mark):
+    """Raise `ProblemError` if a second trace of a user's code called `name` has another digest than the first."""
+    if digest in _STEADY:
         return
     if again() != digest:
         raise ProblemError(
@@ -79,8 +74,6 @@ def refuse_unsteady(name: str, digest: Digest, again: Callable[[], Digest]) -> N
             "of a random number; read files, clocks and counters beforehand."
         )
     _STEADY.add(digest)
-    if mark is not None:
-        programs.mark(mark)
 
 
 def array_digest(array: Any) -> str:
@@ -179,16 +172,6 @@ def asks_twice(jaxpr: Any) -> bool:
     """
     loops = (one.params["cond_jaxpr"] for one in _every(jaxpr) if one.primitive.name == "while")
     return any(one.out_avals[0].shape for one in loops)
-
-
-def must_run_alone(jaxpr: Any) -> bool:
-    """Whether two runs at once may wait for each other forever.
-
-    JAX 0.10 shares out the factorisations of many matrices among XLA's threads, each of which waits for the others.
-    Equations that call Python are left out, because that may run another program.
-    """
-    names = {one.primitive.name for one in _every(jaxpr)}
-    return not names.isdisjoint(("lu", "cholesky")) and "pure_callback" not in names
 
 
 # Equations that may change with a number by which they have no derivative, or have one of their own.

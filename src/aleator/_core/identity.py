@@ -33,7 +33,7 @@ from aleator._core.equations import TracedFunction, array_digest, digest_of, ref
 from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
 
-# Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
+# Libraries that trace and compile.
 _TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 _LIBRARIES = {"aleator", "jaxtyping", *_TRACING}
 _PYTHON = sysconfig.get_path("stdlib")
@@ -44,6 +44,7 @@ _ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persis
 # Environment variables that affect compilation begin with these.
 _VARIABLES = ("XLA_", "TF_XLA_", "LIBTPU_", "EQX_")
 _BEGAN = time.time()
+_PROCESSOR = Path("/proc/cpuinfo")
 
 
 class DoubtError(Exception):
@@ -133,8 +134,19 @@ def _surroundings() -> str:
     settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(_VARIABLES)]
     device = jax.devices()[0]
     # When XLA compiles, it divides loops among the cores that the process may use.
-    machine = [device.client.platform_version, device.device_kind, f"cores={CORES}"]
+    machine = [device.client.platform_version, device.device_kind, f"cores={CORES}", *_processor()]
     return "\n".join([versions(), jax.default_backend(), *machine, *settings])
+
+
+@functools.cache
+def _processor() -> list[str]:
+    """What tells kinds of machines apart: code for one processor may crash on another."""
+    about = [platform.system(), platform.machine(), platform.processor()]
+    try:
+        lines = _PROCESSOR.read_text().split("\n\n")[0].splitlines()
+    except OSError:
+        return [*about, platform.node()]  # Nothing tells what its processor can do: a machine of its own.
+    return about + [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
 
 
 @functools.cache
