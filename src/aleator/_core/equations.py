@@ -131,13 +131,13 @@ def _is_still(change: Any) -> bool:
     return isinstance(change, SymbolicZero)
 
 
-def _every(jaxpr: Any) -> Iterator[Any]:
+def equations_in(jaxpr: Any) -> Iterator[Any]:
     """All equations, those inside others included."""
     for equation in jaxpr.eqns:
         yield equation
         for part in jax.tree.leaves(equation.params):
             if hasattr(part, "eqns"):
-                yield from _every(part)
+                yield from equations_in(part)
 
 
 _State = TypeVar("_State")
@@ -170,7 +170,7 @@ def asks_twice(jaxpr: Any) -> bool:
     JAX evaluates this twice in a step, to go on and to change the numbers; that of `loop_while_any` once, as that of a
     loop of one realisation.
     """
-    loops = (one.params["cond_jaxpr"] for one in _every(jaxpr) if one.primitive.name == "while")
+    loops = (one.params["cond_jaxpr"] for one in equations_in(jaxpr) if one.primitive.name == "while")
     return any(one.out_avals[0].shape for one in loops)
 
 
@@ -180,7 +180,7 @@ _LOSING = ("stop_gradient", "round", "floor", "ceil", "sign", "custom_jvp_call",
 
 def may_lose_derivatives(jaxpr: Any) -> bool:
     """Whether derivatives may be others than those of the values: elsewhere JAX's are exact."""
-    return any((one.primitive.name in _LOSING and not _is_derived(one)) or _is_cast(one) for one in _every(jaxpr))
+    return any((one.primitive.name in _LOSING and not _is_derived(one)) or _is_cast(one) for one in equations_in(jaxpr))
 
 
 # Equations whose values jump where those that they are made of do not.
@@ -323,7 +323,7 @@ class TracedFunction:
     @property
     def size(self) -> int:
         """The number of its equations, those inside others included."""
-        return sum(1 for _ in _every(self.closed.jaxpr))
+        return sum(1 for _ in equations_in(self.closed.jaxpr))
 
     def __call__(self, *arguments: Pytree) -> Pytree:
         """Its value, as a part of an outer function that is traced.
