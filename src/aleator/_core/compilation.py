@@ -135,7 +135,7 @@ class Program:
             with uncollected(), _explained(), Compiled.timed():
                 if (earlier := programs.load(self._name, inputs)) is not None:
                     executable, self._layout, self._is_alone = earlier
-                    self._executables[self._device or here()] = executable
+                    self._executables[self.device] = executable
                     self._compiled.compilations += 1
                     return
                 count = len(inputs) - len(rest.arrays(rest.shapes()))
@@ -148,12 +148,13 @@ class Program:
                 self._traced = jax.jit(flat).trace(*inputs)
             self.results = None if packed else self._layout.read(self._traced.out_info)
 
-    def compile(self) -> None:
-        """Compile it for the present device, if it has not been."""
-        self._executable()
+    @property
+    def device(self) -> Device:
+        """Where it runs if it is called now."""
+        return self._device or here()
 
-    def _executable(self) -> Callable[..., list[Array]]:
-        device = self._device or here()
+    def on(self, device: Device) -> Callable[..., list[Array]]:
+        """The executable for a device, compiled now if it has not been."""
         # After Ctrl-C, XLA would go on compiling, and a process that ends meanwhile is aborted.
         return self._executables.get(device) or undisturbed(lambda: self._made(device))
 
@@ -182,7 +183,7 @@ class Program:
         The linear solvers of stiff integrators do so for derivatives that are not finite. Called with NaN throughout,
         the same executable returns NaN in the right shapes.
         """
-        executable = self._executable()
+        executable = self.on(self.device)
         with _ALONE if self._is_alone else nullcontext():
             try:
                 results = jax.block_until_ready(executable(*inputs))
@@ -259,7 +260,8 @@ class Bound:
 
     def prepare(self, *rest: Any) -> None:
         """Compile now what calls with arguments of this structure run, if this has not been done."""
-        self._program(Layout.of(rest, packed=False), rest).compile()
+        program = self._program(Layout.of(rest, packed=False), rest)
+        program.on(program.device)
 
     def begin(self, *rest: Any) -> Pytree | None:
         """Begin to compile on another core what calls with arguments of this structure run; traced here and now.
@@ -270,7 +272,7 @@ class Bound:
         """
         program = self._program(Layout.of(rest, packed=False), rest)
         if not program.is_ready:
-            beside(program.compile)
+            beside(program.on, program.device)
         return program.results
 
     def __call__(self, *rest: Any) -> Any:

@@ -58,7 +58,7 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
     user's code outside a declared problem. The numbers of arrays are not part of it.
     """
     try:
-        return joined([_surroundings(), *_texts(function), *_texts(how), *_Texts(whole=False)(arguments)])
+        return joined([_surroundings(), *_Texts()((function, how)), *_Texts(whole=False)(arguments)])
     except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
         return None
 
@@ -173,10 +173,6 @@ def versions() -> str:
     return digest.hexdigest()
 
 
-def _texts(it: Any) -> Iterator[str]:
-    return _Texts()(it)
-
-
 class _Texts:
     """A tree as texts.
 
@@ -203,9 +199,6 @@ class _Texts:
             yield f"{_name_of(type(it))}.{it.name}"
         elif isinstance(it, type | types.FunctionType | types.BuiltinFunctionType | np.ufunc):
             yield from self._code(it, declared)
-        elif isinstance(it, types.MethodType | functools.partial):
-            parts = (it.__func__, it.__self__) if isinstance(it, types.MethodType) else (it.func, it.args, it.keywords)
-            yield from self(parts, declared=declared)
         elif isinstance(it, frozenset | set):
             yield f"{type(it).__name__} {sorted(' '.join(self(one, declared=declared)) for one in it)}"
         elif isinstance(it, types.ModuleType):
