@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
@@ -218,8 +218,10 @@ class Layout(NamedTuple):
 
 def _split(vector: Any, shapes: list[tuple[int, ...]]) -> list[Any]:
     sizes = [math.prod(shape) for shape in shapes]
-    # One equation, where it is traced.
-    parts = jax.lax.split(vector, sizes) if isinstance(vector, Tracer) else np.split(vector, np.cumsum(sizes)[:-1])
+    if isinstance(vector, Tracer):  # one equation
+        parts = jax.lax.split(vector, sizes)
+    else:
+        parts = [vector[start:stop] for start, stop in pairwise(accumulate(sizes, initial=0))]
     return [part if part.shape == shape else part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 

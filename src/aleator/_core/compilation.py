@@ -1,6 +1,7 @@
 """Ahead-of-time compilation, once per structure of the arguments, with its time on record."""
 
 import enum
+import functools
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
@@ -284,13 +285,14 @@ class Bound:
         return self._compiled, self._layout, layout, self._packed, device, here().platform
 
     def _program(self, layout: Layout, rest: tuple[Any, ...]) -> Program:
-        if layout not in self._programs:
-            key = self._key(layout, rest)
-            program = PROGRAMS.get(key, lambda: Program(self._compiled, self._device or placed(rest)))
+        program = self._programs.get(layout)
+        if program is None:
+            made = functools.partial(Program, self._compiled, self._device or placed(rest))
+            program = PROGRAMS.get(self._key(layout, rest), made)
             inputs = [*self._inputs, *layout.arrays(rest)]
             program.trace(self._layout, layout, (*self._fixed, *rest), inputs, packed=self._packed)
             self._programs[layout] = program
-        return self._programs[layout]
+        return program
 
 
 def _evaluated(function: TracedFunction, constants: list[Any], leaves: list[Any]) -> list[Any]:
