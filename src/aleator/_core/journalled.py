@@ -158,11 +158,9 @@ def part_by_part(
     parts: AbstractParts | None,
 ) -> Iterator[tuple[_Item, _Result]]:
     """What `work` finds for each item, in order; it is given those alone that no earlier run has finished."""
-    done = 0
-    for found in _recalled(parts):
-        yield items[done], found
-        done += 1
-    keeping = _Keeping(parts, done)
+    keeping = _Keeping(parts)
+    done = len(keeping.earlier)
+    yield from zip(items[:done], keeping.earlier, strict=True)
     for item, found in work(items[done:]):
         keeping.add(found)
         yield item, found
@@ -170,8 +168,8 @@ def part_by_part(
 
 def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts | None) -> Callable[[_Item], _Result]:
     """A function whose first calls an earlier run has answered: for the same calls in the same order."""
-    earlier = list(_recalled(parts))
-    keeping, known = _Keeping(parts, len(earlier)), iter(earlier)
+    keeping = _Keeping(parts)
+    known = iter(keeping.earlier)
 
     def answer(item: _Item) -> _Result:
         found = next(known, None)
@@ -183,20 +181,15 @@ def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts | None) 
     return answer
 
 
-def _recalled(parts: AbstractParts | None) -> Iterator[Any]:
-    """The results of an earlier run, from the first one on, without a gap."""
-    done = 0
-    while parts is not None and (some := parts.recall(done)) is not None:
-        yield from some
-        done += len(some)
-
-
 @final
 class _Keeping:
-    """Keeps the results from a number on, those of some seconds in one part."""
+    """Results of an earlier run, from the first one on without a gap, and the later ones, kept together for seconds."""
 
-    def __init__(self, parts: AbstractParts | None, first: int):
-        self._parts, self._first = parts, first
+    def __init__(self, parts: AbstractParts | None):
+        self.earlier = list[Any]()
+        while parts is not None and (some := parts.recall(len(self.earlier))) is not None:
+            self.earlier += some
+        self._parts, self._first = parts, len(self.earlier)
         self._unkept = list[Any]()
         self._kept_at = time.monotonic()
 
