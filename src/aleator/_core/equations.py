@@ -20,7 +20,7 @@ from jax.interpreters import batching, mlir
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool
 
-from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.arrays import Layout, Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError
 
 # Parameters of equations that hold Python code: of `jax.pure_callback` and the like, and rules of `jax.custom_vjp`.
@@ -290,25 +290,22 @@ def _forward_rule(equation: Any) -> Iterator[Any]:
 class TracedFunction:
     """A function of trees of arrays as its equations; equal to another one if these are, whatever their constants.
 
-    - `closed`: the equations; `structure`: that of the arguments' numbers; `fixed`: their other parts, such as whole
-      numbers;
+    - `closed`: the equations; `layout`: of the arguments, with all that is no array, such as whole numbers;
     - `results`: the structure of the result's numbers; `rest`: its parts that are no numbers.
     """
 
     def __init__(self, function: Callable[..., Pytree], *arguments: Pytree):
         """Trace a function for arguments like these; nothing is computed."""
-        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
-        rest: list[Pytree] = []
+        arguments = numbers_to_arrays(arguments)
+        self.layout = Layout.of(arguments, packed=False)
+        self.rest: Pytree = None
 
-        def arrays(numbers: Pytree) -> Pytree:
-            results, others = eqx.partition(function(*eqx.combine(numbers, fixed)), eqx.is_array)
-            rest.append(others)
+        def arrays(*numbers: Any) -> Pytree:
+            results, self.rest = eqx.partition(function(*self.layout.read(numbers)), eqx.is_array)
             return results
 
-        self.closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(numbers)
-        self.structure, self.results = jax.tree.structure(numbers), jax.tree.structure(shapes)
-        self.fixed = jax.tree.leaves(fixed)
-        (self.rest,) = rest
+        self.closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(*self.layout.arrays(arguments))
+        self.results = jax.tree.structure(shapes)
 
     @cached_property
     def digest(self) -> Digest:
@@ -353,16 +350,13 @@ class TracedFunction:
 
     def leaves(self, arguments: tuple[Pytree, ...]) -> list[Any]:
         """The numbers of arguments, in order. Raises `ProblemError` if they do not go with the equations."""
-        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
-        leaves, structure = jax.tree.flatten(numbers)
-        shapes = [one.shape for one in self.closed.in_avals]
-        is_alike = structure == self.structure and [jnp.shape(leaf) for leaf in leaves] == shapes
-        if not (is_alike and all(map(_is_same, self.fixed, jax.tree.leaves(fixed)))):
+        arguments = numbers_to_arrays(arguments)
+        if Layout.of(arguments, packed=False) != self.layout:
             raise ProblemError(
                 "The model has another structure than the one whose equations were traced: a whole number, a shape or "
                 "a class is not what it was. Declare an al.Problem of the changed model."
             )
-        return leaves
+        return self.layout.arrays(arguments)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TracedFunction) or not self.digest.is_whole:
@@ -371,7 +365,3 @@ class TracedFunction:
 
     def __hash__(self) -> int:
         return hash(self.digest)
-
-
-def _is_same(first: Any, second: Any) -> bool:
-    return first is second or (type(first) is type(second) and bool(np.array_equal(first, second)))

@@ -28,7 +28,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Layout, Pytree, numbers_to_arrays
 from aleator._core.equations import TracedFunction, array_digest, digest_of, refuse_unsteady
 from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
@@ -343,9 +343,8 @@ def traced_once(
     What cannot be told is traced each time. Raises `ProblemError` in the name of `who`, if one is named, for code that
     computes something else at each trace.
     """
-    name = identity_of(code)
-    leaves, structure = jax.tree.flatten(arguments)
-    key = name, structure, tuple(map(_kind_of, leaves))
+    name, arguments = identity_of(code), numbers_to_arrays(arguments)
+    key = name, Layout.of(arguments, packed=False)
     known = None if name is None else _TRACES.pop(key, None)
     if known is None:
         known = TracedFunction(function, *arguments)
@@ -357,10 +356,3 @@ def traced_once(
         if len(_TRACES) > _MOST_TRACES:
             _TRACES.pop(next(iter(_TRACES)), None)
     return known
-
-
-def _kind_of(leaf: Any) -> Hashable:
-    """What a trace depends on in a leaf of its arguments: not the value of a number."""
-    if hasattr(leaf, "dtype"):
-        return *leaf.shape, str(leaf.dtype)
-    return float if isinstance(leaf, float) else (type(leaf), leaf)
