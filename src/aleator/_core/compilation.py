@@ -165,7 +165,8 @@ class Program:
                 assert self._traced is not None
                 PROGRAMS.make_room()
                 with Compiled.timed(), _explained(), jax.default_device(device):
-                    lowered = self._traced.lower()
+                    with uncollected():
+                        lowered = self._traced.lower()
                     executable = compiled_for(self._use.of(self._traced.jaxpr), lowered, device.platform)
                 outside = programs.functions_outside(lowered)
                 # JAX 0.10 shares out the factorisations of many matrices among XLA's threads, each of which waits for
