@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, nullcontext
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -123,26 +123,26 @@ class Program:
         """Whether it has been compiled."""
         return bool(self._executables)
 
-    def trace(
-        self, fixed: Layout, rest: Layout, arguments: tuple[Any, ...], inputs: list[Any], *, packed: bool
-    ) -> None:
-        """Trace it for some arguments and its inputs, laid out like this, unless this has been done."""
+    def trace(self, fixed: "Passed", rest: "Passed", *, packed: bool) -> None:
+        """Trace it for some arguments unless this has been done; `packed`: whether real numbers of its results are."""
         with self._lock:
             if self._traced is not None or self._executables:
                 return
-            self._use = self._compiled.use_for(arguments)
-            how = fixed.is_packed, packed, self._use
-            self._name = lasting_name(self._compiled.function, (fixed.shapes(), rest.shapes()), *how)
+            self._use = self._compiled.use(*fixed.arguments, *rest.arguments)
+            how = fixed.layout.is_packed, packed, self._use
+            shapes = fixed.layout.shapes(), rest.layout.shapes()
+            self._name = lasting_name(self._compiled.function, shapes, *how)
+            inputs, count = [*fixed.arrays, *rest.arrays], len(fixed.arrays)
             with uncollected(), _explained(), Compiled.timed():
                 if (earlier := programs.load(self._name, inputs)) is not None:
                     executable, self._layout, self._is_alone = earlier
                     self._executables[self.device] = executable
                     self._compiled.compilations += 1
                     return
-                count = len(inputs) - len(rest.arrays(rest.shapes()))
 
                 def flat(*inputs: Any) -> list[Any]:
-                    result = self._compiled.function(*fixed.read(inputs[:count]), *rest.read(inputs[count:]))
+                    arguments = *fixed.layout.read(inputs[:count]), *rest.layout.read(inputs[count:])
+                    result = self._compiled.function(*arguments)
                     self._layout = Layout.of(result, packed=packed)
                     return self._layout.arrays(result)
 
@@ -211,12 +211,9 @@ class Compiled:
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, function: Callable[..., Any], *, use: Use | Callable[..., Use] = Use.LOOPS):
-        self.function, self._use = function, use
+        self.function = function
+        self.use: Callable[..., Use] = (lambda *_: use) if isinstance(use, Use) else use
         self.compilations = 0
-
-    def use_for(self, arguments: tuple[Any, ...]) -> Use:
-        """The use of the program for some arguments."""
-        return self._use if isinstance(self._use, Use) else self._use(*arguments)
 
     def __call__(self, *arguments: Any) -> Any:
         return self.bound(packed=False)(*arguments)
@@ -245,24 +242,36 @@ class Compiled:
                 cls.seconds += time.perf_counter() - started
 
 
+class Passed(NamedTuple):
+    """Some arguments of a function as they are passed to an executable."""
+
+    arguments: tuple[Any, ...]
+    layout: Layout
+    arrays: list[Any]
+
+    @classmethod
+    def of(cls, arguments: tuple[Any, ...], *, packed: bool = False) -> "Passed":
+        layout = Layout.of(arguments, packed=packed)
+        return cls(arguments, layout, layout.arrays(arguments))
+
+
 @final
 class Bound:
     """A compiled function of the arguments that are not fixed; see `Compiled.bound`."""
 
     def __init__(self, compiled: Compiled, fixed: tuple[Any, ...], *, packed: bool):
-        self._compiled, self._fixed, self._packed = compiled, fixed, packed
-        self._layout = Layout.of(fixed, packed=packed)
-        self._device = placed(fixed)
-        self._inputs = jax.device_put(self._layout.arrays(fixed), self._device)
+        self._compiled, self._packed, self._device = compiled, packed, placed(fixed)
+        passed = Passed.of(fixed, packed=packed)
+        self._fixed = passed._replace(arrays=jax.device_put(passed.arrays, self._device))
         self._programs: dict[Layout, Program] = {}
 
     def is_known(self, *rest: Any) -> bool:
         """Whether there is a program for arguments of this structure already."""
-        return self._key(Layout.of(rest, packed=False), rest) in PROGRAMS
+        return self._key(Passed.of(rest)) in PROGRAMS
 
     def prepare(self, *rest: Any) -> None:
         """Compile now what calls with arguments of this structure run, if this has not been done."""
-        program = self._program(Layout.of(rest, packed=False), rest)
+        program = self._program(Passed.of(rest))
         program.on(program.device)
 
     def begin(self, *rest: Any) -> Pytree | None:
@@ -272,27 +281,26 @@ class Bound:
 
         Returns the shapes of the results; None if these are packed, or the program is one of an earlier run.
         """
-        program = self._program(Layout.of(rest, packed=False), rest)
+        program = self._program(Passed.of(rest))
         if not program.is_ready:
             beside(program.on, program.device)
         return program.results
 
     def __call__(self, *rest: Any) -> Any:
-        layout = Layout.of(rest, packed=False)
-        return self._program(layout, rest)(*self._inputs, *layout.arrays(rest))
+        passed = Passed.of(rest)
+        return self._program(passed)(*self._fixed.arrays, *passed.arrays)
 
-    def _key(self, layout: Layout, rest: tuple[Any, ...]) -> Hashable:
-        device = self._device or placed(rest)
-        return self._compiled, self._layout, layout, self._packed, device, here().platform
+    def _key(self, rest: Passed) -> Hashable:
+        device = self._device or placed(rest.arrays)
+        return self._compiled, self._fixed.layout, rest.layout, self._packed, device, here().platform
 
-    def _program(self, layout: Layout, rest: tuple[Any, ...]) -> Program:
-        program = self._programs.get(layout)
+    def _program(self, rest: Passed) -> Program:
+        program = self._programs.get(rest.layout)
         if program is None:
-            made = functools.partial(Program, self._compiled, self._device or placed(rest))
-            program = PROGRAMS.get(self._key(layout, rest), made)
-            inputs = [*self._inputs, *layout.arrays(rest)]
-            program.trace(self._layout, layout, (*self._fixed, *rest), inputs, packed=self._packed)
-            self._programs[layout] = program
+            made = functools.partial(Program, self._compiled, self._device or placed(rest.arrays))
+            program = PROGRAMS.get(self._key(rest), made)
+            program.trace(self._fixed, rest, packed=self._packed)
+            self._programs[rest.layout] = program
         return program
 
 
