@@ -79,8 +79,7 @@ def test_what_is_prepared_is_not_compiled_again():
 
 def test_only_so_many_programs_are_kept():
     kept = Programs(most=2)
-    for key in "abac":
-        assert not kept[key].is_ready
+    assert [kept.get(key, key.upper) for key in "abac"] == ["A", "B", "A", "C"]
     assert [key in kept for key in "abc"] == [True, False, True]
 
 
@@ -259,12 +258,8 @@ def test_files_that_are_lost_or_damaged_are_made_anew_and_what_calls_python_is_n
 
 def test_the_programs_unused_for_longest_are_forgotten_and_other_files_are_spared(tmp_path, monkeypatch):
     monkeypatch.setattr(programs, "_MOST_BYTES", 250)
-    folder = tmp_path / programs._kind()
-    other = tmp_path / "of a user" / "aleator_a-cache"
-    for age, path in enumerate([*(folder / f"{name}-cache" for name in ("newest", "new", "old", "oldest")), other]):
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(bytes(100))
-        os.utime(path, (1e9 - age, 1e9 - age))
-    programs._forget_oldest(folder)
-    assert sorted(path.name for path in folder.iterdir()) == ["new-cache", "newest-cache"]
-    assert other.exists()
+    for age, name in enumerate(["newest-cache", "new-cache", "old-cache", "oldest-cache", "of a user"]):
+        (tmp_path / name).write_bytes(bytes(100))
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    programs._forget_oldest(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new-cache", "newest-cache", "of a user"]

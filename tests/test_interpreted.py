@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aleator._core.interpreted import interpreted
+from aleator._core.dependence import interpreted
 from compiling import compiled, programs_listed
 
 MATRIX = np.arange(1.0, 13.0).reshape(3, 4)

@@ -1,11 +1,12 @@
 """Arrays: their types, how numbers become what JAX traces, how they are passed, and the memory that they take."""
 
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
 import equinox as eqx
 import jax
@@ -156,60 +157,77 @@ def _gibibytes(size: int) -> str:
     return f"{size / 2**30:.3g} GiB" if size < _BEYOND else f"more than {_BEYOND / 2**30:.0e} GiB"
 
 
+class _Array(NamedTuple):
+    """An array in a tree."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+
+
+class _Other(NamedTuple):
+    """Anything else in a tree, with its type, because 1 and True are equal."""
+
+    kind: type
+    value: Any
+
+
 class Layout(NamedTuple):
-    """The layout of a tree of arrays as they are passed to an executable or from it: one by one, or packed in a vector.
+    """The layout of a tree as it is passed to an executable or from it; what is no array is a part of it.
 
-    Every array that is passed costs time at each call, so that real numbers are packed; copying large arrays takes
-    longer.
-
-    - `ends`: of each leaf in the vector, None for those that are passed separately; `shapes`: of the leaves.
+    Every array that is passed costs time at each call, so that real numbers may be packed in a vector, which is passed
+    first; copying large arrays takes longer.
     """
 
     structure: Any
-    shapes: tuple[tuple[int, ...], ...]
-    ends: tuple[tuple[int, int] | None, ...]
+    leaves: tuple[_Array | _Other, ...]
+    is_packed: bool
 
     @classmethod
     def of(cls, tree: Pytree, *, packed: bool) -> "Layout":
         leaves, structure = jax.tree.flatten(tree)
-        sizes = [leaf.size if packed and is_real(leaf) else 0 for leaf in leaves]
-        ends = pairwise(accumulate(sizes, initial=0))
-        places = tuple(end if packed and is_real(leaf) else None for leaf, end in zip(leaves, ends, strict=True))
-        return cls(structure, tuple(leaf.shape for leaf in leaves), places)
-
-    @property
-    def is_packed(self) -> bool:
-        return any(end is not None for end in self.ends)
+        kinds = tuple(
+            _Array(leaf.shape, leaf.dtype) if _is_passed(leaf) else _Other(type(leaf), leaf) for leaf in leaves
+        )
+        return cls(structure, kinds, packed and any(map(_is_real, kinds)))
 
     def arrays(self, tree: Pytree) -> list[Any]:
-        """The arrays that are passed, the vector first if there is one."""
-        leaves = jax.tree.leaves(tree)
-        packed = [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is not None]
-        library, packed = in_library(packed)
-        vector = [library.concatenate([library.ravel(leaf) for leaf in packed])] if packed else []
-        return vector + [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is None]
+        """The arrays that are passed, or their shapes."""
+        arrays = list(filter(_is_passed, jax.tree.leaves(tree)))
+        if not self.is_packed:
+            return arrays
+        library, packed = in_library(list(filter(_is_real, arrays)))
+        vector = library.concatenate([library.ravel(one) for one in packed])
+        return [vector, *(one for one in arrays if not _is_real(one))]
 
-    def read(self, arrays: list[Any]) -> Pytree:
+    def read(self, arrays: Sequence[Any]) -> Pytree:
         """The tree of arrays that were passed."""
-        others, parts = iter(arrays[1:] if self.is_packed else arrays), self._parts(arrays)
+        passed, packed = iter(arrays), iter(())
+        if self.is_packed:
+            packed = iter(_split(next(passed), [one.shape for one in self.leaves if _is_real(one)]))
         leaves = [
-            next(others) if end is None else _shaped(next(parts), shape)
-            for shape, end in zip(self.shapes, self.ends, strict=True)
+            one.value if isinstance(one, _Other) else next(packed if self.is_packed and _is_real(one) else passed)
+            for one in self.leaves
         ]
         return jax.tree.unflatten(self.structure, leaves)
 
-    def _parts(self, arrays: list[Any]) -> Iterator[Any]:
-        """The parts of the vector."""
-        ends = [end for end in self.ends if end is not None]
-        if ends and isinstance(arrays[0], Tracer):
-            # One equation.
-            return iter(jax.lax.split(arrays[0], [stop - start for start, stop in ends]))
-        return (arrays[0][slice(*end)] for end in ends)
+    def shapes(self) -> Pytree:
+        """The tree with the shapes of its arrays in their places."""
+        leaves = [one.value if isinstance(one, _Other) else jax.ShapeDtypeStruct(*one) for one in self.leaves]
+        return jax.tree.unflatten(self.structure, leaves)
 
 
-def _shaped(part: Any, shape: tuple[int, ...]) -> Any:
-    return part if part.shape == shape else part.reshape(shape)
+def _split(vector: Any, shapes: list[tuple[int, ...]]) -> list[Any]:
+    sizes = [math.prod(shape) for shape in shapes]
+    if isinstance(vector, Tracer):  # one equation
+        parts = jax.lax.split(vector, sizes)
+    else:
+        parts = [vector[start:stop] for start, stop in pairwise(accumulate(sizes, initial=0))]
+    return [part if part.shape == shape else part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def is_real(leaf: Any) -> bool:
-    return eqx.is_array(leaf) and leaf.dtype == float
+def _is_passed(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _is_real(one: Any) -> TypeGuard[_Array]:
+    return not isinstance(one, _Other) and one.dtype == float

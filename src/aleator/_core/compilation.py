@@ -6,23 +6,22 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, nullcontext
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer, eval_jaxpr
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
-from aleator._core import programs
-from aleator._core.arrays import Layout, Pytree, is_real
-from aleator._core.equations import TracedFunction, asks_twice, must_run_alone
+from aleator._core import programs, uncollected
+from aleator._core.arrays import Layout, Pytree
+from aleator._core.equations import TracedFunction, asks_twice
 from aleator._core.errors import ProblemError
 from aleator._core.identity import lasting_name, traced_once
-from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
-from aleator._core.programs import PROGRAMS, Executable, Program
+from aleator._core.parallel import Device, beside, here, placed, undisturbed
+from aleator._core.programs import PROGRAMS
 
 # The compiler with the options below; those of other devices know other options.
 _CPU = "cpu"
@@ -76,141 +75,6 @@ class Use(enum.Enum):
         return Use.ONCE if self is Use.BRIEF and asks_twice(closed.jaxpr) else self
 
 
-@final
-class Compiled:
-    """A function compiled ahead of time: once for each structure of its arguments, whatever their numbers are.
-
-    Arrays in the arguments (also deep inside a problem) are traced; all the rest is structure. Several threads may call
-    it: they wait for a program that one of them is compiling. `compilations` counts these so far; `seconds` is how
-    long this process has traced, compiled and loaded programs of all functions. Within a part that runs on another
-    device (`over_devices`), so does the program; it is traced once.
-
-    - `use`: the use of its programs, or a function of the arguments that gives it.
-    """
-
-    seconds: ClassVar[float] = 0.0
-    _lock: ClassVar[threading.Lock] = threading.Lock()
-
-    def __init__(self, function: Callable[..., Any], *, use: Use | Callable[..., Use] = Use.LOOPS):
-        self._function, self._use = function, use
-        self.compilations = 0
-
-    def __call__(self, *arguments: Any) -> Any:
-        program, leaves = self._program(arguments)
-        return program()(*leaves)
-
-    def prepare(self, *arguments: Any) -> Program:
-        """Begin to compile, on another core, the program for arguments of this structure; it is traced here and now.
-
-        The caller of what is returned compiles it, unless the other core has begun.
-        """
-        program, _ = self._program(arguments)
-        if not program.is_ready:
-            beside(program)
-        return program
-
-    def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
-        """The function with all arguments but the last fixed, for many calls that differ in that one: a tree of arrays.
-
-        - `packed`: whether real numbers are passed in one vector, those of the result as NumPy arrays, which are not to
-          be written to.
-        """
-        return Bound(self, fixed, packed=packed)
-
-    def _program(self, arguments: tuple[Any, ...]) -> tuple[Program, list[Any]]:
-        """The program for some arguments, and their arrays, which are its inputs."""
-        dynamic, static = eqx.partition(arguments, eqx.is_array)
-        layout = Layout.of(dynamic, packed=False)
-        inputs = layout.arrays(dynamic)
-        key = self.key((layout, False), static, inputs)
-        return self.program(key, arguments, lambda inputs: eqx.combine(layout.read(inputs), static), inputs), inputs
-
-    def key(self, layouts: Hashable, static: Pytree, inputs: list[Any]) -> Hashable:
-        """The key of a program, from the layouts of inputs and results, what is no array, and the inputs' types."""
-        leaves, structure = jax.tree.flatten(static)
-        kinds = tuple(type(leaf) for leaf in leaves)  # 1 and True are equal, but not the same structure
-        types = tuple((leaf.shape, leaf.dtype) for leaf in inputs)
-        return self, layouts, structure, tuple(leaves), kinds, types, placed(inputs) or home()
-
-    def program(
-        self,
-        key: Hashable,
-        arguments: tuple[Any, ...],
-        read: Callable[[list[Any]], tuple[Any, ...]],
-        inputs: list[Any],
-        *,
-        packed: bool = False,
-    ) -> Program:
-        """The program of a key, traced if there is none yet; `read` gives the arguments from its inputs."""
-
-        def build() -> Callable[[], Executable]:
-            use = self._use if isinstance(self._use, Use) else self._use(*arguments)
-            name = lasting_name(self._function, _shapes_alone(arguments), len(inputs), packed, use)
-
-            def function(*inputs: Any) -> Any:
-                return self._function(*read(list(inputs)))
-
-            trace = functools.partial(self._traced, function, inputs, use, name, packed=packed)
-            if not programs.is_kept(name):
-                compiled, program.results = trace()
-                return functools.partial(self._timed, compiled)
-
-            def loaded() -> Executable:
-                earlier = programs.load(name, inputs)
-                return trace()[0]() if earlier is None else _ready(earlier[0], *earlier[1])
-
-            return functools.partial(self._timed, loaded)
-
-        program = PROGRAMS[key]
-        program.trace(build)
-        return program
-
-    def _timed(self, make: Callable[[], Executable]) -> Executable:
-        """An executable that is made now, on record."""
-        started = time.perf_counter()
-        executable = make()
-        with Compiled._lock:
-            self.compilations += 1
-            Compiled.seconds += time.perf_counter() - started
-        return executable
-
-    def _traced(
-        self, function: Callable[..., Any], inputs: list[Any], use: Use, name: str | None, *, packed: bool
-    ) -> tuple[Callable[[], Executable], Pytree | None]:
-        """Trace a function: what compiles it, and the shapes of its results, None if these are packed."""
-        started = time.perf_counter()
-        layouts: list[Layout] = []
-
-        def flat(*inputs: Any) -> list[Array]:
-            result = function(*inputs)
-            layouts[:] = [Layout.of(result, packed=packed)]
-            return layouts[0].arrays(result)
-
-        with _explained():
-            traced = jax.jit(flat).trace(*inputs)
-            use, lowered = use.of(traced.jaxpr), traced.lower()
-        alone = must_run_alone(traced.jaxpr.jaxpr)
-        # Asked here, because what JAX is told of devices holds for one thread.
-        bound_to = placed(inputs)
-        platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
-        with Compiled._lock:
-            Compiled.seconds += time.perf_counter() - started
-
-        def compiled() -> Executable:
-            executable = compiled_for(use, lowered, platform)
-            if name is not None:
-                programs.keep(name, lowered, executable, (layouts[0], alone))
-            ready = _ready(executable, layouts[0], alone)
-            return _OnEach(ready, lambda: self._timed(here)) if moves else ready
-
-        def here() -> Executable:
-            PROGRAMS.make_room()
-            again = traced.lower()
-            return _ready(undisturbed(lambda: compiled_for(use, again, platform)), layouts[0], alone)
-
-        return compiled, None if packed else layouts[0].read(traced.out_info)
-
-
 def compiled_for(use: Use, lowered: jax.stages.Lowered, platform: str) -> jax.stages.Compiled:
     """Compile a traced program for devices of a platform, with default options if this XLA does not know ours."""
     try:
@@ -233,124 +97,211 @@ def _explained() -> Iterator[None]:
         raise
 
 
-def _shapes_alone(tree: Pytree) -> Pytree:
-    """A tree whose NumPy arrays, which are traced, are replaced by their shapes and types."""
-    return jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray) else leaf, tree
-    )
-
-
 _ALONE = threading.Lock()
 
 
-def _ready(executable: Executable, layout: Layout, alone: bool) -> Executable:
-    """An executable that returns results in their own layout; see `must_run_alone`."""
+@final
+class Program:
+    """A function of arrays: traced by the thread that asks for it, and compiled by the first one that needs it.
 
-    def ready(*inputs: Any) -> Any:
-        with _ALONE if alone else nullcontext():
-            results = _run(executable, *inputs)
-        return layout.read([np.asarray(one) for one in results] if layout.is_packed else results)
+    Other threads wait meanwhile. Nothing waits for a core: if another thread was to compile a program and has not
+    begun, its caller compiles it. What fails is tried again by the next one who asks. Where a part of some work runs
+    on another device (`over_devices`), the program is compiled for that one too.
 
-    return ready
-
-
-def _run(executable: Executable, *inputs: Any) -> list[Any]:
-    """The results of an executable; NaN if run-time checks of a library inside stop it.
-
-    The linear solvers of stiff integrators do so for derivatives that are not finite. Called with NaN throughout, the
-    same executable returns NaN in the right shapes.
+    - `results`: their shapes; None if they are packed, or the program is one of an earlier run.
     """
-    try:
-        return jax.block_until_ready(executable(*inputs))
-    except jax.errors.JaxRuntimeError as error:
-        if _CHECKED not in str(error):
-            raise
-    nothing = jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan) if is_real(leaf) else leaf, inputs)
-    return executable(*nothing)
+
+    def __init__(self, compiled: "Compiled", device: Device | None):
+        self.results: Any = None
+        self._compiled, self._device = compiled, device
+        self._lock = threading.RLock()
+        self._traced: jax.stages.Traced | None = None
+        self._executables: dict[Device, Callable[..., list[Array]]] = {}
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it has been compiled."""
+        return bool(self._executables)
+
+    def trace(self, fixed: "Passed", rest: "Passed", *, packed: bool) -> None:
+        """Trace it for some arguments unless this has been done; `packed`: whether real numbers of its results are."""
+        with self._lock:
+            if self._traced is not None or self._executables:
+                return
+            self._use = self._compiled.use(*fixed.arguments, *rest.arguments)
+            how = fixed.layout.is_packed, packed, self._use
+            shapes = fixed.layout.shapes(), rest.layout.shapes()
+            self._name = lasting_name(self._compiled.function, shapes, *how)
+            inputs, count = [*fixed.arrays, *rest.arrays], len(fixed.arrays)
+            with uncollected(), _explained(), Compiled.timed():
+                if (earlier := programs.load(self._name, inputs)) is not None:
+                    executable, self._layout, self._is_alone = earlier
+                    self._executables[self.device] = executable
+                    self._compiled.compilations += 1
+                    return
+
+                def flat(*inputs: Any) -> list[Any]:
+                    arguments = *fixed.layout.read(inputs[:count]), *rest.layout.read(inputs[count:])
+                    result = self._compiled.function(*arguments)
+                    self._layout = Layout.of(result, packed=packed)
+                    return self._layout.arrays(result)
+
+                self._traced = jax.jit(flat).trace(*inputs)
+            self.results = None if packed else self._layout.read(self._traced.out_info)
+
+    @property
+    def device(self) -> Device:
+        """Where it runs if it is called now."""
+        return self._device or here()
+
+    def on(self, device: Device) -> Callable[..., list[Array]]:
+        """The executable for a device, compiled now if it has not been."""
+        # After Ctrl-C, XLA would go on compiling, and a process that ends meanwhile is aborted.
+        return self._executables.get(device) or undisturbed(lambda: self._made(device))
+
+    def _made(self, device: Device) -> Callable[..., list[Array]]:
+        with self._lock:
+            if device not in self._executables:
+                assert self._traced is not None
+                PROGRAMS.make_room()
+                with Compiled.timed(), _explained(), jax.default_device(device):
+                    with uncollected():
+                        lowered = self._traced.lower()
+                    executable = compiled_for(self._use.of(self._traced.jaxpr), lowered, device.platform)
+                outside = programs.functions_outside(lowered)
+                # JAX 0.10 shares out the factorisations of many matrices among XLA's threads, each of which waits for
+                # the others: two at once may do so forever. What calls Python may run another program inside.
+                self._is_alone = bool(outside) and programs.is_lapack(outside)
+                self._executables[device] = executable
+                self._compiled.compilations += 1
+                programs.keep(self._name, executable, self._layout, outside)
+                if len(self._executables) == len(jax.local_devices(backend=device.platform)):
+                    self._traced = None  # with what it holds
+            return self._executables[device]
+
+    def __call__(self, *inputs: Any) -> Pytree:
+        """The function's value; NaN if run-time checks of a library inside stop it.
+
+        The linear solvers of stiff integrators do so for derivatives that are not finite. Called with NaN throughout,
+        the same executable returns NaN in the right shapes.
+        """
+        executable = self.on(self.device)
+        with _ALONE if self._is_alone else nullcontext():
+            try:
+                results = jax.block_until_ready(executable(*inputs))
+            except jax.errors.JaxRuntimeError as error:
+                if _CHECKED not in str(error):
+                    raise
+                results = executable(*(one * np.nan if one.dtype == float else one for one in inputs))
+        return self._layout.read([np.asarray(one) for one in results] if self._layout.is_packed else results)
 
 
 @final
-class _OnEach:
-    """An executable of one device, and its copies for others, each compiled when it is first called there."""
+class Compiled:
+    """A function compiled ahead of time: once for each structure of its arguments, whatever their numbers are.
 
-    def __init__(self, at_home: Executable, compiled_here: Callable[[], Executable]):
-        self._at_home, self._compiled_here = at_home, compiled_here
-        self._copies: dict[Device, Executable] = {}
-        self._lock = threading.Lock()
+    Arrays in the arguments (also deep inside a problem) are traced; all the rest is structure. Several threads may call
+    it. `compilations` counts its programs so far; `seconds` is how long this process has traced, compiled and loaded
+    programs of all functions.
 
-    def __call__(self, *inputs: Any) -> Any:
-        device = elsewhere()
-        if device is None:
-            return self._at_home(*inputs)
-        # One after the other: XLA compiles on all cores, and may find the second one in JAX's cache.
-        with self._lock:
-            if device not in self._copies:
-                self._copies[device] = self._compiled_here()
-        return self._copies[device](*inputs)
+    - `use`: the use of its programs, or a function of the arguments that gives it.
+    """
+
+    seconds: ClassVar[float] = 0.0
+    _lock: ClassVar[threading.Lock] = threading.Lock()
+
+    def __init__(self, function: Callable[..., Any], *, use: Use | Callable[..., Use] = Use.LOOPS):
+        self.function = function
+        self.use: Callable[..., Use] = (lambda *_: use) if isinstance(use, Use) else use
+        self.compilations = 0
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.bound(packed=False)(*arguments)
+
+    def prepare(self, *arguments: Any) -> None:
+        """See `Bound.begin`."""
+        self.bound(packed=False).begin(*arguments)
+
+    def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
+        """The function with its first arguments fixed, for many calls that differ in the others.
+
+        - `packed`: whether real numbers among the fixed arguments are passed in one vector, and those of the result,
+          whose arrays are then of NumPy and not to be written to.
+        """
+        return Bound(self, fixed, packed=packed)
+
+    @classmethod
+    @contextmanager
+    def timed(cls) -> Iterator[None]:
+        """Put the time of a block on record."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            with cls._lock:
+                cls.seconds += time.perf_counter() - started
+
+
+class Passed(NamedTuple):
+    """Some arguments of a function as they are passed to an executable."""
+
+    arguments: tuple[Any, ...]
+    layout: Layout
+    arrays: list[Any]
+
+    @classmethod
+    def of(cls, arguments: tuple[Any, ...], *, packed: bool = False) -> "Passed":
+        layout = Layout.of(arguments, packed=packed)
+        return cls(arguments, layout, layout.arrays(arguments))
 
 
 @final
 class Bound:
-    """A function of one tree of arrays, the rest of its arguments being fixed; see `Compiled.bound`."""
+    """A compiled function of the arguments that are not fixed; see `Compiled.bound`."""
 
     def __init__(self, compiled: Compiled, fixed: tuple[Any, ...], *, packed: bool):
-        self._compiled, self._fixed, self._packed = compiled, fixed, packed
-        arrays, self._static = eqx.partition(fixed, eqx.is_array)
-        self._layout = Layout.of(arrays, packed=packed)
-        device = placed(arrays)
-        self._moves, self._inputs = device is None, jax.device_put(self._layout.arrays(arrays), device)
-        self._copies: dict[Device, list[Any]] = {}
-        self._executables: dict[Any, Executable] = {}
+        self._compiled, self._packed, self._device = compiled, packed, placed(fixed)
+        passed = Passed.of(fixed, packed=packed)
+        self._fixed = passed._replace(arrays=jax.device_put(passed.arrays, self._device))
+        self._programs: dict[Layout, Program] = {}
 
-    def is_known(self, last: Any) -> bool:
-        """Whether there is a program for this structure already."""
-        return self._key(last) in PROGRAMS
+    def is_known(self, *rest: Any) -> bool:
+        """Whether there is a program for arguments of this structure already."""
+        return self._key(Passed.of(rest)) in PROGRAMS
 
-    def prepare(self, last: Any) -> Executable:
-        """The executable for arguments of this structure, compiled now if it has not been."""
-        structure = jax.tree.structure(last)
-        if structure not in self._executables:
-            self._executables[structure] = self._program(last)()
-        return self._executables[structure]
+    def prepare(self, *rest: Any) -> None:
+        """Compile now what calls with arguments of this structure run, if this has not been done."""
+        program = self._program(Passed.of(rest))
+        program.on(program.device)
 
-    def begin(self, last: Any) -> Pytree | None:
+    def begin(self, *rest: Any) -> Pytree | None:
         """Begin to compile on another core what calls with arguments of this structure run; traced here and now.
 
-        - `last`: the argument, or its shapes alone.
+        - `rest`: the arguments, or the shapes of their arrays.
 
         Returns the shapes of the results; None if these are packed, or the program is one of an earlier run.
         """
-        program = self._program(last)
+        program = self._program(Passed.of(rest))
         if not program.is_ready:
-            beside(program)
+            beside(program.on, program.device)
         return program.results
 
-    def __call__(self, last: Any) -> Any:
-        """The function's value."""
-        return self.prepare(last)(*self._inputs_here(), *jax.tree.leaves(last))
+    def __call__(self, *rest: Any) -> Any:
+        passed = Passed.of(rest)
+        return self._program(passed)(*self._fixed.arrays, *passed.arrays)
 
-    def _key(self, last: Any) -> Hashable:
-        leaves, structure = jax.tree.flatten(last)
-        return self._compiled.key((self._layout, structure, self._packed), self._static, [*self._inputs, *leaves])
+    def _key(self, rest: Passed) -> Hashable:
+        device = self._device or placed(rest.arrays)
+        return self._compiled, self._fixed.layout, rest.layout, self._packed, device, here().platform
 
-    def _program(self, last: Any) -> Program:
-        (leaves, structure), count = jax.tree.flatten(last), len(self._inputs)
-
-        def read(inputs: list[Any]) -> tuple[Any, ...]:
-            fixed = eqx.combine(self._layout.read(inputs[:count]), self._static)
-            return *fixed, jax.tree.unflatten(structure, inputs[count:])
-
-        arguments, inputs = (*self._fixed, last), [*self._inputs, *leaves]
-        return self._compiled.program(self._key(last), arguments, read, inputs, packed=self._packed)
-
-    def _inputs_here(self) -> list[Any]:
-        """The fixed arguments on the device of the present part, to which they are copied once."""
-        device = elsewhere()
-        if device is None or not self._moves:
-            return self._inputs
-        if device not in self._copies:
-            self._copies[device] = jax.device_put(self._inputs, device)
-        return self._copies[device]
+    def _program(self, rest: Passed) -> Program:
+        program = self._programs.get(rest.layout)
+        if program is None:
+            made = functools.partial(Program, self._compiled, self._device or placed(rest.arrays))
+            program = PROGRAMS.get(self._key(rest), made)
+            program.trace(self._fixed, rest, packed=self._packed)
+            self._programs[rest.layout] = program
+        return program
 
 
 def _evaluated(function: TracedFunction, constants: list[Any], leaves: list[Any]) -> list[Any]:

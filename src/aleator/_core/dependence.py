@@ -1,8 +1,9 @@
-"""Which derivatives of a function may differ from zero, and how few tangents tell all of these.
+"""Traced equations followed number by number: on which variables each depends, and what NumPy makes of known ones.
 
 Which variables each row depends on, and which pairs of them bend it, follows from traced equations, never from values:
 few derivatives of a larger model's rates by its states and signals can differ from zero. Equations that are not known
-below count as bent by all that they are given, so that patterns may be too wide, but never too narrow.
+below count as bent by all that they are given, so that patterns may be too wide, but never too narrow. A few values are
+computed by NumPy, one equation after the other, in less time than a compiler takes.
 """
 
 import math
@@ -17,23 +18,167 @@ import scipy
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
-from aleator._core.interpreted import GATHERS, MOVING, NESTED, SCATTERS, by_numpy, landed_at
+from aleator._core.arrays import quietly
+from aleator._core.equations import equations_in
 
-# Of one number each: linear in all operands together; bent.
+# Results that are operands' numbers in other places, or fixed ones: by NumPy, for JAX would compile a program for each.
+MOVING: dict[str, Callable[..., Any]] = {
+    "reshape": lambda one, new_sizes, **_: one.reshape(new_sizes),
+    "transpose": lambda one, permutation: one.transpose(permutation),
+    "squeeze": lambda one, dimensions: one.squeeze(dimensions),
+    "slice": lambda one, start_indices, limit_indices, strides: one[
+        tuple(map(slice, start_indices, limit_indices, strides or [None] * one.ndim))
+    ],
+    "split": lambda one, sizes, axis: np.split(one, np.cumsum(sizes)[:-1], axis),
+    "concatenate": lambda *every, dimension: np.concatenate(every, dimension),
+    "stack": lambda *every, axis: np.stack(every, axis),
+    "rev": lambda one, dimensions: np.flip(one, dimensions),
+    "broadcast_in_dim": lambda one, shape, broadcast_dimensions, **_: np.broadcast_to(
+        np.expand_dims(one, [axis for axis in range(len(shape)) if axis not in broadcast_dimensions]), shape
+    ),
+}
+# Numbers are taken from some places, or brought there.
+GATHERS, SCATTERS = "gather", ("scatter", "scatter-add")
+# Primitives that contain other equations.
+NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
+
+
+def _product(one: Any, other: Any, dimension_numbers: Any, **_: Any) -> Any:
+    (summed, others_summed), (kept, others_kept) = dimension_numbers
+
+    def free(array: Any, *used: Sequence[int]) -> list[int]:
+        return [axis for axis in range(array.ndim) if not any(axis in some for some in used)]
+
+    own, others = free(one, summed, kept), free(other, others_summed, others_kept)
+    batch, inner = [one.shape[axis] for axis in kept], math.prod(one.shape[axis] for axis in summed)
+    shape, others_shape = [one.shape[axis] for axis in own], [other.shape[axis] for axis in others]
+    left = one.transpose((*kept, *own, *summed)).reshape((*batch, math.prod(shape), inner))
+    right = other.transpose((*others_kept, *others_summed, *others)).reshape((*batch, inner, math.prod(others_shape)))
+    return (left @ right).reshape((*batch, *shape, *others_shape))
+
+
+def _summed_up(one: Any, axis: int, reverse: bool) -> Any:
+    turned = np.flip(one, axis) if reverse else one
+    total = np.cumsum(turned, axis, dtype=one.dtype)
+    return np.flip(total, axis) if reverse else total
+
+
+_BY_NUMBER: dict[str, np.ufunc] = {
+    **{name: getattr(np, name) for name in ("sign", "floor", "ceil", "square", "sqrt", "cbrt", "exp", "exp2", "expm1")},
+    **{name: getattr(np, name) for name in ("log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh")},
+    **{"asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2},
+    **{"asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh, "is_finite": np.isfinite},
+    **{"add": np.add, "add_any": np.add, "sub": np.subtract, "neg": np.negative, "abs": np.abs},
+    **{"mul": np.multiply, "div": np.divide, "rem": np.fmod, "pow": np.power, "max": np.maximum, "min": np.minimum},
+    **{"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal},
+    **{"eq": np.equal, "ne": np.not_equal},
+    **{"and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert},
+}
+_BY_ARRAY: dict[str, Callable[..., Any]] = MOVING | {
+    "copy": lambda one: one,
+    "name": lambda one, **_: one,
+    "integer_pow": lambda one, y, **_: one**y,
+    "rsqrt": lambda one, **_: 1 / np.sqrt(one),
+    "clamp": lambda least, one, most: np.clip(one, least, most),
+    "select_n": lambda which, *cases: np.choose(which, cases),
+    "convert_element_type": lambda one, new_dtype, **_: one.astype(new_dtype),
+    "iota": lambda shape, dimension, **_: np.indices(shape)[dimension],
+    "reduce_sum": lambda one, axes, **_: one.sum(axis=tuple(axes)),
+    "reduce_max": lambda one, axes, **_: one.max(axis=tuple(axes)),
+    "reduce_min": lambda one, axes, **_: one.min(axis=tuple(axes)),
+    "cumsum": _summed_up,
+    "dot_general": _product,
+}
+
+
+@quietly
+def interpreted(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
+    """The results of some equations. What NumPy has no function for is a program of JAX by itself."""
+    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
+
+    def read(variable: Any) -> Any:
+        return np.asarray(variable.val) if isinstance(variable, Literal) else values[variable]
+
+    for equation in jaxpr.eqns:
+        results = _results(equation, [read(one) for one in equation.invars])
+        values.update(zip(equation.outvars, results, strict=True))
+    return [np.asarray(read(one)) for one in jaxpr.outvars]
+
+
+def _results(equation: Any, operands: list[Any]) -> Sequence[Any]:
+    name, params = equation.primitive.name, equation.params
+    if name in NESTED or name == "custom_jvp_call":
+        inner = params[NESTED.get(name, "call_jaxpr")]
+        return interpreted(inner.jaxpr, inner.consts, operands)
+    if (results := by_numpy(equation, operands)) is not None:
+        return results
+    with equation.ctx.manager:
+        results = equation.primitive.bind(*operands, **equation.primitive.get_bind_params(params))
+    return results if equation.primitive.multiple_results else [results]
+
+
+def by_numpy(equation: Any, operands: Sequence[Any]) -> Sequence[np.ndarray] | None:
+    """The results of one equation by NumPy; None if that has no function for it."""
+    name, types = equation.primitive.name, [one.aval.dtype for one in equation.outvars]
+    if name == GATHERS or name in SCATTERS:
+        return _taken_or_brought(equation, operands)
+    if name == "div" and not jnp.issubdtype(types[0], jnp.inexact):  # rounds towards zero
+        return None
+    if name in _BY_NUMBER:
+        results = _BY_NUMBER[name](*map(np.asarray, operands))
+    elif name in _BY_ARRAY:
+        results = _BY_ARRAY[name](*map(np.asarray, operands), **equation.params)
+    else:
+        return None
+    results = results if equation.primitive.multiple_results else [results]
+    return [np.asarray(one, dtype) for one, dtype in zip(results, types, strict=True)]
+
+
+def _taken_or_brought(equation: Any, operands: Sequence[Any]) -> Sequence[np.ndarray] | None:
+    into, places, *brought = map(np.asarray, operands)
+    if (landed := landed_at(equation, places)) is None:
+        return None
+    if not brought:
+        return [into.ravel()[landed].reshape(equation.outvars[0].aval.shape)]
+    result = into.flatten()
+    if equation.primitive.name == "scatter":
+        result[landed] = brought[0].ravel()
+    else:
+        np.add.at(result, landed, brought[0].ravel())
+    return [result.reshape(into.shape)]
+
+
+def landed_at(equation: Any, places: Int[np.ndarray, "... axes"]) -> Int[np.ndarray, " numbers"] | None:
+    """Where in its operand each number stands that an equation takes or brings; None if some are outside, and for
+    batches.
+    """
+    params, takes = equation.params["dimension_numbers"], equation.primitive.name == GATHERS
+    shape, moved = equation.invars[0].aval.shape, (equation.outvars[0] if takes else equation.invars[2]).aval.shape
+    names = ("update_window_dims", "inserted_window_dims", "scatter_dims_to_operand_dims")
+    names = ("offset_dims", "collapsed_slice_dims", "start_index_map") if takes else names
+    within, without, axes = (getattr(params, name) for name in names)
+    if params.operand_batching_dims:
+        return None
+    numbers = np.indices(moved)
+    first = places[tuple(numbers[axis] for axis in range(len(moved)) if axis not in within)]
+    at = np.zeros((len(shape), *moved), dtype=int)
+    at[[axis for axis in range(len(shape)) if axis not in without]] = numbers[list(within)]
+    at[list(axes)] += np.moveaxis(np.broadcast_to(first, (*moved, len(axes))), -1, 0)
+    if any(one.size and not 0 <= one.min() <= one.max() < size for one, size in zip(at, shape, strict=True)):
+        return None
+    return np.ravel_multi_index(tuple(at), shape).ravel() if shape else np.zeros(math.prod(moved), dtype=int)
+
+
+# Linear in all operands together.
 _LINEAR = {
     *("add", "add_any", "sub", "neg", "copy", "name", "real"),
     *("convert_element_type", "reduce_precision", "select_n"),
 }
-_BENT = {
-    *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2"),
-    *("exp", "exp2", "expm1", "log", "log1p", "logistic", "erf", "erfc", "erf_inv", "lgamma", "digamma"),
-    *("mul", "div", "pow", "integer_pow", "square", "sqrt", "rsqrt", "cbrt", "abs", "max", "min", "clamp"),
-}
 BY_NUMBER = {
-    *(*_LINEAR, *_BENT, "sign", "floor", "ceil", "round", "is_finite", "stop_gradient", "rem"),
-    *("lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not", "xor"),
+    *(*_BY_NUMBER, *_LINEAR, "integer_pow", "rsqrt", "clamp", "round", "stop_gradient"),
+    *("logistic", "erf", "erfc", "erf_inv", "lgamma", "digamma"),
 }
 """Equations of one number each, of arrays of one shape."""
 # Numbers that move beside those of `MOVING`, by JAX.
@@ -61,28 +206,6 @@ class Dependence(NamedTuple):
     affine: ClosedJaxpr | None
 
 
-def column_groups(pattern: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, " columns"]:
-    """A group for each column, such that none of a group have a row in common: one tangent along all of them tells
-    their entries apart (Curtis, Powell and Reid, IMA Journal of Applied Mathematics 13, 1974).
-    """
-    groups = np.full(pattern.shape[1], -1)
-    if len(groups) > _FEW:
-        sparse = scipy.sparse.csc_array(pattern.astype(np.int32))
-        table = (sparse.T @ sparse).tocsr()
-        met = np.split(table.indices, table.indptr[1:-1])
-    else:
-        met = map(np.flatnonzero, pattern.T.astype(np.float32) @ pattern)
-    for column, others in enumerate(met):
-        taken = groups[others]
-        groups[column] = np.setdiff1d(np.arange(len(taken) + 1), taken)[0]
-    return groups
-
-
-def seeds_of(groups: Int[np.ndarray, " columns"]) -> Float[np.ndarray, "groups columns"]:
-    """A tangent for each group of columns; one at least."""
-    return (np.arange(groups.max(initial=0) + 1)[:, None] == groups).astype(float)
-
-
 def dependence(function: Callable[..., Array], data: Sequence[Any], variables: Sequence[Any]) -> Dependence:
     """That of the rows of `function(*data, *variables)` on the variables, side by side. Nothing is computed.
 
@@ -91,7 +214,8 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*data, *variables)
     sizes = [int(np.prod(one.shape)) for one in variables]
     count, rows = sum(sizes), int(np.prod(shape.shape))
-    if max(_largest(closed.jaxpr), count) * count > _MOST:
+    largest = max((one.aval.size for equation in equations_in(closed.jaxpr) for one in equation.outvars), default=0)
+    if max(largest, count) * count > _MOST:
         return Dependence(np.ones((rows, count), dtype=bool), np.ones((count, count), dtype=bool), None)
     jaxpr, _ = dce_jaxpr(closed.jaxpr, [True], instantiate=True)
     certain = len(jaxpr.invars) - len(variables)
@@ -102,15 +226,6 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     first = np.zeros((rows, count), dtype=bool) if first is None else first
     is_affine = not (following.bent.any() or following.decides)
     return Dependence(first, following.bent, ClosedJaxpr(jaxpr, closed.consts) if is_affine else None)
-
-
-def _largest(jaxpr: Any) -> int:
-    """The size of the largest array in some equations."""
-    size = 0
-    for equation in jaxpr.eqns:
-        inner = equation.params.get(NESTED.get(equation.primitive.name, ""))
-        size = max(size, *(one.aval.size for one in equation.outvars), _largest(inner.jaxpr) if inner else 0)
-    return size
 
 
 @final
@@ -158,10 +273,11 @@ class _Following:
         if (name in MOVING or name in _MOVING_BY_JAX) and _moves_by_known_places(equation):
             return _moved(equation, operands)
         if name == "reduce_sum" or name == "cumsum":
+            assert operands[0] is not None
             return [_summed(equation, operands[0])]
         if name == "dot_general":
             return [self._contracted(equation, *operands)]
-        if name in _LINEAR or name in _BENT:
+        if name in BY_NUMBER:
             return [self._by_number(name, _spread(equation, operands))]
         every = np.logical_or.reduce(np.concatenate([one for one in operands if one is not None]))[None]
         self._bend(every, every)
@@ -174,7 +290,7 @@ class _Following:
             self._bend(*operands)
         elif name == "div":
             self._bend(united, operands[1])
-        elif name in _BENT:
+        elif name not in _LINEAR:
             self._bend(united, united)
         return united
 
@@ -266,17 +382,9 @@ def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
     return [every[np.nan_to_num(np.asarray(one)).astype(int).ravel()] for one in results]
 
 
-def _summed(equation: Any, operand: _Known) -> _Known:
-    if operand is None:
-        return None
-    count, params = operand.shape[1], equation.params
-    table = operand.reshape(*equation.invars[0].aval.shape, count)
-    if equation.primitive.name == "reduce_sum":
-        united = np.logical_or.reduce(table, axis=tuple(params["axes"]))
-    else:
-        axis, turn = params["axis"], np.flip if params["reverse"] else lambda one, _: one
-        united = turn(np.logical_or.accumulate(turn(table, axis), axis=axis), axis)
-    return _one_after_another(united)
+def _summed(equation: Any, operand: _Table) -> _Table:
+    table = operand.reshape(*equation.invars[0].aval.shape, operand.shape[1])
+    return _one_after_another(_BY_ARRAY[equation.primitive.name](table, **equation.params).astype(bool))
 
 
 def _arranged(

@@ -21,7 +21,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool
 
 from aleator._core import programs
-from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.arrays import Layout, Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError
 
 # Parameters of equations that hold Python code: of `jax.pure_callback` and the like, and rules of `jax.custom_vjp`.
@@ -69,8 +69,7 @@ def refuse_unsteady(name: str, digest: Digest, again: Callable[[], Digest]) -> N
 
     The second may be that of an earlier run: code that computes something else each time does so in each run.
     """
-    mark = f"steady_{digest.text}" if digest.is_whole else None
-    if digest in _STEADY or programs.is_kept(mark):
+    if digest in _STEADY or (digest.is_whole and programs.is_marked(digest.text)):
         return
     if again() != digest:
         raise ProblemError(
@@ -79,8 +78,8 @@ def refuse_unsteady(name: str, digest: Digest, again: Callable[[], Digest]) -> N
             "of a random number; read files, clocks and counters beforehand."
         )
     _STEADY.add(digest)
-    if mark is not None:
-        programs.mark(mark)
+    if digest.is_whole:
+        programs.mark(digest.text)
 
 
 def array_digest(array: Any) -> str:
@@ -138,13 +137,13 @@ def is_still(change: Any) -> bool:
     return isinstance(change, SymbolicZero)
 
 
-def _every(jaxpr: Any) -> Iterator[Any]:
+def equations_in(jaxpr: Any) -> Iterator[Any]:
     """All equations, those inside others included."""
     for equation in jaxpr.eqns:
         yield equation
         for part in jax.tree.leaves(equation.params):
             if hasattr(part, "eqns"):
-                yield from _every(part)
+                yield from equations_in(part)
 
 
 _State = TypeVar("_State")
@@ -177,18 +176,8 @@ def asks_twice(jaxpr: Any) -> bool:
     JAX evaluates this twice in a step, to go on and to change the numbers; that of `loop_while_any` once, as that of a
     loop of one realisation.
     """
-    loops = (one.params["cond_jaxpr"] for one in _every(jaxpr) if one.primitive.name == "while")
+    loops = (one.params["cond_jaxpr"] for one in equations_in(jaxpr) if one.primitive.name == "while")
     return any(one.out_avals[0].shape for one in loops)
-
-
-def must_run_alone(jaxpr: Any) -> bool:
-    """Whether two runs at once may wait for each other forever.
-
-    JAX 0.10 shares out the factorisations of many matrices among XLA's threads, each of which waits for the others.
-    Equations that call Python are left out, because that may run another program.
-    """
-    names = {one.primitive.name for one in _every(jaxpr)}
-    return not names.isdisjoint(("lu", "cholesky")) and "pure_callback" not in names
 
 
 # Equations that may change with a number by which they have no derivative, or have one of their own.
@@ -197,7 +186,7 @@ _LOSING = ("stop_gradient", "round", "floor", "ceil", "sign", "custom_jvp_call",
 
 def may_lose_derivatives(jaxpr: Any) -> bool:
     """Whether derivatives may be others than those of the values: elsewhere JAX's are exact."""
-    return any((one.primitive.name in _LOSING and not _is_derived(one)) or _is_cast(one) for one in _every(jaxpr))
+    return any((one.primitive.name in _LOSING and not _is_derived(one)) or _is_cast(one) for one in equations_in(jaxpr))
 
 
 # Equations whose values jump where those that they are made of do not.
@@ -307,25 +296,22 @@ def _forward_rule(equation: Any) -> Iterator[Any]:
 class TracedFunction:
     """A function of trees of arrays as its equations; equal to another one if these are, whatever their constants.
 
-    - `closed`: the equations; `structure`: that of the arguments' numbers; `fixed`: their other parts, such as whole
-      numbers;
+    - `closed`: the equations; `layout`: of the arguments, with all that is no array, such as whole numbers;
     - `results`: the structure of the result's numbers; `rest`: its parts that are no numbers.
     """
 
     def __init__(self, function: Callable[..., Pytree], *arguments: Pytree):
         """Trace a function for arguments like these; nothing is computed."""
-        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
-        rest: list[Pytree] = []
+        arguments = numbers_to_arrays(arguments)
+        self.layout = Layout.of(arguments, packed=False)
+        self.rest: Pytree = None
 
-        def arrays(numbers: Pytree) -> Pytree:
-            results, others = eqx.partition(function(*eqx.combine(numbers, fixed)), eqx.is_array)
-            rest.append(others)
+        def arrays(*numbers: Any) -> Pytree:
+            results, self.rest = eqx.partition(function(*self.layout.read(numbers)), eqx.is_array)
             return results
 
-        self.closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(numbers)
-        self.structure, self.results = jax.tree.structure(numbers), jax.tree.structure(shapes)
-        self.fixed = jax.tree.leaves(fixed)
-        (self.rest,) = rest
+        self.closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(*self.layout.arrays(arguments))
+        self.results = jax.tree.structure(shapes)
 
     @cached_property
     def digest(self) -> Digest:
@@ -340,7 +326,7 @@ class TracedFunction:
     @property
     def size(self) -> int:
         """The number of its equations, those inside others included."""
-        return sum(1 for _ in _every(self.closed.jaxpr))
+        return sum(1 for _ in equations_in(self.closed.jaxpr))
 
     def __call__(self, *arguments: Pytree) -> Pytree:
         """Its value, as a part of an outer function that is traced.
@@ -370,16 +356,13 @@ class TracedFunction:
 
     def leaves(self, arguments: tuple[Pytree, ...]) -> list[Any]:
         """The numbers of arguments, in order. Raises `ProblemError` if they do not go with the equations."""
-        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
-        leaves, structure = jax.tree.flatten(numbers)
-        shapes = [one.shape for one in self.closed.in_avals]
-        is_alike = structure == self.structure and [jnp.shape(leaf) for leaf in leaves] == shapes
-        if not (is_alike and all(map(_is_same, self.fixed, jax.tree.leaves(fixed)))):
+        arguments = numbers_to_arrays(arguments)
+        if Layout.of(arguments, packed=False) != self.layout:
             raise ProblemError(
                 "The model has another structure than the one whose equations were traced: a whole number, a shape or "
                 "a class is not what it was. Declare an al.Problem of the changed model."
             )
-        return leaves
+        return self.layout.arrays(arguments)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, TracedFunction) or not self.digest.is_whole:
@@ -388,7 +371,3 @@ class TracedFunction:
 
     def __hash__(self) -> int:
         return hash(self.digest)
-
-
-def _is_same(first: Any, second: Any) -> bool:
-    return first is second or (type(first) is type(second) and bool(np.array_equal(first, second)))

@@ -81,10 +81,11 @@ def _received_as_done(
     numbers: dict[Future[Any], int] = {}
     try:
         for i, pack in packs.items():
-            future = _submitted(executor, pack, where[i])
-            if future in numbers:
-                raise _lost(where[i], "the executor gave the same future for two pieces of work")
-            numbers[future] = i
+            try:
+                numbers[executor.submit(run, pack)] = i
+            except Exception as error:  # every executor has its own
+                why = f"the executor did not take the work ({type(error).__name__}: {error})"
+                raise _lost(where[i], why) from error
         for future in as_completed(numbers):
             i = numbers[future]
             yield i, _received(future, packs[i], where[i])
@@ -113,16 +114,6 @@ def each_of(
         while following in waiting:
             yield from zip(shares[following], waiting.pop(following), strict=True)
             following += 1
-
-
-def _submitted(executor: Executor, pack: "Pack", where: str) -> "Future[Any]":
-    try:
-        future = executor.submit(run, pack)
-    except Exception as error:  # every executor has its own
-        raise _lost(where, f"the executor did not take the work ({type(error).__name__}: {error})") from error
-    if not isinstance(future, Future):
-        raise _lost(where, f"expected a future of concurrent.futures from the executor; received {shown(future)}")
-    return future
 
 
 def _lost(where: str, why: str) -> SimulationError:

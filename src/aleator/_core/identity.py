@@ -28,12 +28,12 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Layout, Pytree, numbers_to_arrays
 from aleator._core.equations import TracedFunction, array_digest, digest_of, refuse_unsteady
 from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
 
-# Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
+# Libraries that trace and compile.
 _TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 _LIBRARIES = {"aleator", "jaxtyping", *_TRACING}
 _PYTHON = sysconfig.get_path("stdlib")
@@ -44,6 +44,7 @@ _ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persis
 # Environment variables that affect compilation begin with these.
 _VARIABLES = ("XLA_", "TF_XLA_", "LIBTPU_", "EQX_")
 _BEGAN = time.time()
+_PROCESSOR = Path("/proc/cpuinfo")
 
 
 class DoubtError(Exception):
@@ -57,7 +58,7 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
     user's code outside a declared problem. The numbers of arrays are not part of it.
     """
     try:
-        return joined([_surroundings(), *_texts(function), *_texts(how), *_Texts(whole=False)(arguments)])
+        return joined([_surroundings(), *_Texts()((function, how)), *_Texts(whole=False)(arguments)])
     except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
         return None
 
@@ -133,8 +134,19 @@ def _surroundings() -> str:
     settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(_VARIABLES)]
     device = jax.devices()[0]
     # When XLA compiles, it divides loops among the cores that the process may use.
-    machine = [device.client.platform_version, device.device_kind, f"cores={CORES}"]
+    machine = [device.client.platform_version, device.device_kind, f"cores={CORES}", *_processor()]
     return "\n".join([versions(), jax.default_backend(), *machine, *settings])
+
+
+@functools.cache
+def _processor() -> list[str]:
+    """What tells kinds of machines apart: code for one processor may crash on another."""
+    about = [platform.system(), platform.machine(), platform.processor()]
+    try:
+        lines = _PROCESSOR.read_text().split("\n\n")[0].splitlines()
+    except OSError:
+        return [*about, platform.node()]  # Nothing tells what its processor can do: a machine of its own.
+    return about + [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
 
 
 @functools.cache
@@ -159,10 +171,6 @@ def versions() -> str:
         except metadata.PackageNotFoundError:
             digest.update(f"no {name}\n".encode())
     return digest.hexdigest()
-
-
-def _texts(it: Any) -> Iterator[str]:
-    return _Texts()(it)
 
 
 class _Texts:
@@ -191,9 +199,6 @@ class _Texts:
             yield f"{_name_of(type(it))}.{it.name}"
         elif isinstance(it, type | types.FunctionType | types.BuiltinFunctionType | np.ufunc):
             yield from self._code(it, declared)
-        elif isinstance(it, types.MethodType | functools.partial):
-            parts = (it.__func__, it.__self__) if isinstance(it, types.MethodType) else (it.func, it.args, it.keywords)
-            yield from self(parts, declared=declared)
         elif isinstance(it, frozenset | set):
             yield f"{type(it).__name__} {sorted(' '.join(self(one, declared=declared)) for one in it)}"
         elif isinstance(it, types.ModuleType):
@@ -338,9 +343,8 @@ def traced_once(
     What cannot be told is traced each time. Raises `ProblemError` in the name of `who`, if one is named, for code that
     computes something else at each trace.
     """
-    name = identity_of(code)
-    leaves, structure = jax.tree.flatten(arguments)
-    key = name, structure, tuple(map(_kind_of, leaves))
+    name, arguments = identity_of(code), numbers_to_arrays(arguments)
+    key = name, Layout.of(arguments, packed=False)
     known = None if name is None else _TRACES.pop(key, None)
     if known is None:
         known = TracedFunction(function, *arguments)
@@ -352,10 +356,3 @@ def traced_once(
         if len(_TRACES) > _MOST_TRACES:
             _TRACES.pop(next(iter(_TRACES)), None)
     return known
-
-
-def _kind_of(leaf: Any) -> Hashable:
-    """What a trace depends on in a leaf of its arguments: not the value of a number."""
-    if hasattr(leaf, "dtype"):
-        return *leaf.shape, str(leaf.dtype)
-    return float if isinstance(leaf, float) else (type(leaf), leaf)

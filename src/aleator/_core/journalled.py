@@ -1,6 +1,6 @@
 """The journal of a run: finished results that a later run with the same code and numbers takes from there.
 
-Whoever computes a result that takes long opens an entry for it (`journalled`), without knowing whether anybody keeps a
+Whoever computes a result that takes long asks for its place (`journalled`), without knowing whether anybody keeps a
 journal, and where. A long one is kept part by part, every few seconds; files of JSON lines only grow.
 """
 
@@ -9,10 +9,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, final
-
-from typing_extensions import override
 
 from aleator._core.border import content_of, json_of
 
@@ -35,30 +34,33 @@ class AbstractParts(abc.ABC):
         """Keep a part at once, until the whole result is kept."""
 
 
-class AbstractEntry(abc.ABC):
-    """The place of one result: `recalled` is what an earlier run found, None if there is nothing.
+def _nothing(given: Any) -> None:
+    del given
 
-    - `parts`: those of the result so far; None where nothing is kept of these.
+
+@final
+@dataclass(frozen=True)
+class Place:
+    """The place of one result in a journal. As it stands, one to which nothing can be added.
+
+    - `recalled`: what an earlier run found, None if there is nothing;
+    - `parts`: those of the result so far; None where nothing is kept of these;
+    - `keep`: keeps a finished result at once, unless the user stopped it;
+    - `failed`: notes the exception in the place of a result.
     """
 
     recalled: Any = None
     parts: AbstractParts | None = None
-
-    @abc.abstractmethod
-    def keep(self, result: Any) -> None:
-        """Keep a finished result at once, unless the user stopped it."""
-
-    @abc.abstractmethod
-    def failed(self, error: BaseException) -> None:
-        """Note that there is no result."""
+    keep: Callable[[Any], None] = _nothing
+    failed: Callable[[BaseException], None] = _nothing
 
 
 class AbstractJournal(abc.ABC):
-    """Opens entries."""
+    """Gives results their places."""
 
     @abc.abstractmethod
-    def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
-        """The entry of a result that follows from what is given, whatever the process."""
+    def place(self, what: str, given: Mapping[str, Any]) -> Place:
+        """The place of a result that follows from what is given, whatever the process."""
 
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
         """Note what will be done with some problems, by their names; returns keys for `withdraw`."""
@@ -70,24 +72,8 @@ class AbstractJournal(abc.ABC):
         del keys
 
 
-@final
-class Settled(AbstractEntry):
-    """An entry to which nothing can be added: of what an earlier run found, or of what nobody keeps."""
-
-    def __init__(self, recalled: Any = None):
-        self.recalled = recalled
-
-    @override
-    def keep(self, result: Any) -> None:
-        pass
-
-    @override
-    def failed(self, error: BaseException) -> None:
-        pass
-
-
 _present: ContextVar[AbstractJournal | None] = ContextVar("journal", default=None)
-_begun: ContextVar[AbstractEntry | None] = ContextVar("entry", default=None)
+_parts: ContextVar[AbstractParts | None] = ContextVar("parts of the result that is being computed", default=None)
 _called: ContextVar[str] = ContextVar("name of the work", default="")
 
 
@@ -106,10 +92,10 @@ def journalling(journal: AbstractJournal) -> AbstractContextManager[None]:
     return _set(_present, journal)
 
 
-def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
-    """The entry of a result in the present journal; one that keeps nothing if there is none."""
+def place_of(what: str, given: Mapping[str, Any]) -> Place:
+    """The place of a result in the present journal; one that keeps nothing if there is none."""
     journal = _present.get()
-    return Settled() if journal is None else journal.entry(what, given)
+    return Place() if journal is None else journal.place(what, given)
 
 
 @contextmanager
@@ -141,23 +127,22 @@ def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result
     `given`: all that the result follows from, by name. Results within it are computed without a journal: they are parts
     of this one.
     """
-    entry = entry_of(what, given)
-    if entry.recalled is not None:
-        return entry.recalled
+    place = place_of(what, given)
+    if place.recalled is not None:
+        return place.recalled
     try:
-        with _set(_present, None), _set(_begun, entry):
+        with _set(_present, None), _set(_parts, place.parts):
             result = compute()
     except BaseException as error:
-        entry.failed(error)
+        place.failed(error)
         raise
-    entry.keep(result)
+    place.keep(result)
     return result
 
 
 def parts_so_far() -> AbstractParts | None:
     """The parts of the result that is being computed, for whoever computes it part by part; None if none are kept."""
-    entry = _begun.get()
-    return None if entry is None else entry.parts
+    return _parts.get()
 
 
 _Item = TypeVar("_Item")
@@ -173,11 +158,9 @@ def part_by_part(
     parts: AbstractParts | None,
 ) -> Iterator[tuple[_Item, _Result]]:
     """What `work` finds for each item, in order; it is given those alone that no earlier run has finished."""
-    done = 0
-    for found in _recalled(parts):
-        yield items[done], found
-        done += 1
-    keeping = _Keeping(parts, done)
+    keeping = _Keeping(parts)
+    done = len(keeping.earlier)
+    yield from zip(items[:done], keeping.earlier, strict=True)
     for item, found in work(items[done:]):
         keeping.add(found)
         yield item, found
@@ -185,8 +168,8 @@ def part_by_part(
 
 def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts | None) -> Callable[[_Item], _Result]:
     """A function whose first calls an earlier run has answered: for the same calls in the same order."""
-    earlier = list(_recalled(parts))
-    keeping, known = _Keeping(parts, len(earlier)), iter(earlier)
+    keeping = _Keeping(parts)
+    known = iter(keeping.earlier)
 
     def answer(item: _Item) -> _Result:
         found = next(known, None)
@@ -198,20 +181,15 @@ def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts | None) 
     return answer
 
 
-def _recalled(parts: AbstractParts | None) -> Iterator[Any]:
-    """The results of an earlier run, from the first one on, without a gap."""
-    done = 0
-    while parts is not None and (some := parts.recall(done)) is not None:
-        yield from some
-        done += len(some)
-
-
 @final
 class _Keeping:
-    """Keeps the results from a number on, those of some seconds in one part."""
+    """Results of an earlier run, from the first one on without a gap, and the later ones, kept together for seconds."""
 
-    def __init__(self, parts: AbstractParts | None, first: int):
-        self._parts, self._first = parts, first
+    def __init__(self, parts: AbstractParts | None):
+        self.earlier = list[Any]()
+        while parts is not None and (some := parts.recall(len(self.earlier))) is not None:
+            self.earlier += some
+        self._parts, self._first = parts, len(self.earlier)
         self._unkept = list[Any]()
         self._kept_at = time.monotonic()
 

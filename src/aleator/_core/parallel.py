@@ -14,9 +14,8 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
 from itertools import islice
-from typing import Any, NamedTuple, TypeAlias, TypeVar, final
+from typing import Any, TypeAlias, TypeVar, final
 
 import jax
 from jax.core import Tracer
@@ -140,16 +139,6 @@ Device: TypeAlias = Any
 """A device of JAX. (A type checker cannot follow `jax.Device`.)"""
 
 
-class _Place(NamedTuple):
-    """Where a part is computed, and where all that is no part is."""
-
-    here: Device
-    home: Device
-
-
-_PLACE: ContextVar[_Place | None] = ContextVar("place", default=None)
-
-
 def devices() -> tuple[Device, ...]:
     """The devices of this process that share the work, the one for all else first.
 
@@ -161,21 +150,9 @@ def devices() -> tuple[Device, ...]:
     return (jax.local_devices(backend=told)[0] if isinstance(told, str) else told,)
 
 
-def home() -> Device:
-    """The device for all that is no part, also when asked for within a part."""
-    place = _PLACE.get()
-    return devices()[0] if place is None else place.home
-
-
 def here() -> Device:
-    """The device of the present part, or `home`."""
-    return elsewhere() or home()
-
-
-def elsewhere() -> Device | None:
-    """The device of the present part; None at `home`."""
-    place = _PLACE.get()
-    return None if place is None or place.here == place.home else place.here
+    """The device of the present part, or the one for all that is no part."""
+    return devices()[0]
 
 
 def placed(tree: Any) -> Device | None:
@@ -194,14 +171,9 @@ def over_devices(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> It
         return in_order(work, items)
 
     def at_place(given: tuple[Device, _Item]) -> _Result:
-        here, item = given
-        before = _PLACE.set(_Place(here, all_of_them[0]))
-        try:
-            # What is computed beside executables, and what arrays are made for them, belongs there too.
-            with jax.default_device(here):
-                return work(item)
-        finally:
-            _PLACE.reset(before)
+        device, item = given
+        with jax.default_device(device):
+            return work(item)
 
     return in_order(at_place, zip(itertools.cycle(all_of_them), items))
 

@@ -69,6 +69,8 @@ from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._simulate import time_switches as time_switches
 from aleator.dynamics._simulation import Simulation as Simulation
 from aleator.dynamics._simulation import simulation_of as simulation_of
+from aleator.dynamics._sparse import column_groups as column_groups
+from aleator.dynamics._sparse import seeds_of as seeds_of
 from aleator.dynamics._steps import needed as needed
 from aleator.dynamics._steps import watched as watched
 from aleator.dynamics._system import AbstractSystem as AbstractSystem

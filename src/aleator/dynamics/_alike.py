@@ -19,8 +19,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Int
 
 from aleator._core.arrays import Pytree
-from aleator._core.dependence import BY_NUMBER
-from aleator._core.interpreted import MOVING, NESTED
+from aleator._core.dependence import BY_NUMBER, MOVING, NESTED
 
 # Functions of fewer names are not worth a second trace; so many equations are worth bringing their operands together.
 _MANY, _ALIKE = 16, 8

@@ -11,13 +11,35 @@ import scipy
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.dependence import column_groups, seeds_of
-
 Vector: TypeAlias = Float[Array, " n"]
 Entries: TypeAlias = Float[Array, "n width"]
 
 # A band is worth its loops over rows if the matrix is so many times as wide as what a row of its factors may fill.
 _NARROW = 8
+# Patterns of more columns are multiplied as sparse ones.
+_FEW_COLUMNS = 100
+
+
+def column_groups(pattern: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, " columns"]:
+    """A group for each column, such that none of a group have a row in common: one tangent along all of them tells
+    their entries apart (Curtis, Powell and Reid, IMA Journal of Applied Mathematics 13, 1974).
+    """
+    groups = np.full(pattern.shape[1], -1)
+    if len(groups) > _FEW_COLUMNS:
+        sparse = scipy.sparse.csc_array(pattern.astype(np.int32))
+        table = (sparse.T @ sparse).tocsr()
+        met = np.split(table.indices, table.indptr[1:-1])
+    else:
+        met = map(np.flatnonzero, pattern.T.astype(np.float32) @ pattern)
+    for column, others in enumerate(met):
+        taken = groups[others]
+        groups[column] = np.setdiff1d(np.arange(len(taken) + 1), taken)[0]
+    return groups
+
+
+def seeds_of(groups: Int[np.ndarray, " columns"]) -> Float[np.ndarray, "groups columns"]:
+    """A tangent for each group of columns; one at least."""
+    return (np.arange(groups.max(initial=0) + 1)[:, None] == groups).astype(float)
 
 
 class Sparsity(NamedTuple):

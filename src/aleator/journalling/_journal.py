@@ -14,14 +14,7 @@ from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.identity import DoubtError, joined
-from aleator._core.journalled import (
-    AbstractEntry,
-    AbstractJournal,
-    NotKeptError,
-    Settled,
-    called,
-    journalling,
-)
+from aleator._core.journalled import AbstractJournal, NotKeptError, Place, called, journalling
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, numbered, read
 from aleator.journalling._keys import Keys, done_with
@@ -126,7 +119,7 @@ class Recalled(AbstractRecord):
         super().__init__(folder, entries_in(folder), self.missing.append)
 
     @override
-    def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
+    def place(self, what: str, given: Mapping[str, Any]) -> Place:
         try:
             identity = self._keys.identity(what, given)
         except DoubtError as doubt:
@@ -135,7 +128,7 @@ class Recalled(AbstractRecord):
         if entry is None or not entry.is_finished:
             raise self._absent(f"{identity.what} is missing.")
         try:
-            return Settled(self._read(entry))
+            return Place(self._read(entry))
         except ProblemError as error:
             raise self._absent(f"{error}") from error
 
@@ -167,14 +160,14 @@ class Journal(AbstractRecord):
         self.withdraw([key for key, entry in entries.items() if entry.state is State.WAITING])
 
     @override
-    def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
+    def place(self, what: str, given: Mapping[str, Any]) -> Place:
         try:
             key, title, parts = self._keys.identity(what, given)
         except DoubtError as doubt:
             title = done_with(what, given)
             self._asked.add(title)
             self.warn(f"{title} is not kept: another run could not tell whether it is the same ({doubt}).")
-            return Settled()
+            return Place()
         self._asked.add(key)
         begun = Entry.begun(key, title, parts, called())
         waiting = self._known.get(begun.waits_as)
@@ -186,7 +179,7 @@ class Journal(AbstractRecord):
         if known is None or result is None:
             self._tell_changed(title, parts)
             self.begun += 1
-            return _Entry(self, begun if known is None or key not in self._outdated else begun.instead_of(known))
+            return self._opened(begun if known is None or key not in self._outdated else begun.instead_of(known))
         if key in self._earlier:
             self.recalled += 1
             self.taken.add(key)
@@ -194,7 +187,21 @@ class Journal(AbstractRecord):
             self.append(replace(known, state=_state_of(result), why=""))
         elif waiting is not None:
             self.withdraw([waiting.key])
-        return Settled(result)
+        return Place(result)
+
+    def _opened(self, begun: Entry) -> Place:
+        """The place of a result in the making."""
+        started = time.perf_counter()
+        self.append(begun)
+
+        def failed(error: BaseException) -> None:
+            state = State.INTERRUPTED if isinstance(error, KeyboardInterrupt) else State.FAILED
+            self.append(begun.unfinished(state, f"{type(error).__name__}: {error}"))
+
+        def keep(result: Any) -> None:
+            self._keep(begun, result, time.perf_counter() - started)
+
+        return Place(parts=self._parts_of(begun), keep=keep, failed=failed)
 
     @override
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
@@ -245,7 +252,7 @@ class Journal(AbstractRecord):
                 return False
             return True
 
-    def keep(self, entry: Entry, result: Any, seconds: float) -> None:
+    def _keep(self, entry: Entry, result: Any, seconds: float) -> None:
         """Write a result, then the line that says so."""
         if _state_of(result) is State.INTERRUPTED:
             self.append(entry.unfinished())
@@ -264,9 +271,9 @@ class Journal(AbstractRecord):
         noted = self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
         if noted and entry.file:
             (self.folder / entry.file).unlink(missing_ok=True)
-        self.parts_of(entry).drop()
+        self._parts_of(entry).drop()
 
-    def parts_of(self, entry: Entry) -> Parts:
+    def _parts_of(self, entry: Entry) -> Parts:
         """The parts of a result that is not finished."""
         return Parts(self.folder / _RESULTS, entry.key[:_NAMED], self.warn, recalls=not self._afresh)
 
@@ -285,25 +292,6 @@ class Journal(AbstractRecord):
                 if entry.state is not State.STALE:
                     self.append(replace(entry, state=State.STALE, why=f"{causes} changed"))
                 self.warn(f"what an earlier run found is not used, because {causes} has changed since.")
-
-
-@final
-class _Entry(AbstractEntry):
-    """One result in the making."""
-
-    def __init__(self, record: Journal, begun: Entry):
-        self._record, self._begun, self._started = record, begun, time.perf_counter()
-        self.parts = record.parts_of(begun)
-        record.append(begun)
-
-    @override
-    def keep(self, result: Any) -> None:
-        self._record.keep(self._begun, result, time.perf_counter() - self._started)
-
-    @override
-    def failed(self, error: BaseException) -> None:
-        state = State.INTERRUPTED if isinstance(error, KeyboardInterrupt) else State.FAILED
-        self._record.append(self._begun.unfinished(state, f"{type(error).__name__}: {error}"))
 
 
 def _prepare(folder: Path, size: int) -> None:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeVar, final
 from aleator._core.border import Progress, check_progress
 from aleator._core.errors import AleatorError, SimulationError, warned_of
 from aleator._core.executors import check_executor, each_done, is_of_this_process
-from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
+from aleator._core.journalled import NotKeptError, Place, calling, place_of
 from aleator._core.parallel import heeding
 from aleator.design import Problem, refuse_other_code
 from aleator.nlp import Status
@@ -143,30 +143,30 @@ def _here(work: Work, calls: Sequence[Arguments], places: Sequence[str]) -> Iter
 def _at_once(
     work: Work, calls: Sequence[Arguments], places: Sequence[str], executor: Executor
 ) -> Iterator[tuple[int, Any]]:
-    entries, absent = dict[int, AbstractEntry](), None
+    kept, absent = dict[int, Place](), None
     for i, (call, place) in enumerate(zip(calls, places, strict=True)):
         try:
             with calling(place):
-                entries[i] = entry_of(work.name, work.follows_from(**call))
+                kept[i] = place_of(work.name, work.follows_from(**call))
         except NotKeptError as error:
             absent = error
-    missing = {i: {"compute": work.compute, "call": calls[i]} for i, entry in entries.items() if entry.recalled is None}
+    missing = {i: {"compute": work.compute, "call": calls[i]} for i, place in kept.items() if place.recalled is None}
     results = each_done(executor, _computed, missing, places)
-    yield from ((i, entry.recalled) for i, entry in entries.items() if entry.recalled is not None)
+    yield from ((i, place.recalled) for i, place in kept.items() if place.recalled is not None)
     if absent is not None:
         raise absent
     try:
         for i, result in results:
             del missing[i]
             if isinstance(result, AleatorError):
-                entries[i].failed(result)
+                kept[i].failed(result)
             else:
                 result = result if is_of_this_process(executor) else _with_own_objects(result, calls[i])
-                entries[i].keep(result)
+                kept[i].keep(result)
             yield i, result
     except SimulationError as error:  # of lost workers
         for i in missing:
-            entries[i].failed(error)
+            kept[i].failed(error)
         raise
 
 

@@ -18,8 +18,8 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int, Num
 
 from aleator._core.arrays import Pytree
-from aleator._core.dependence import Dependence, column_groups, dependence, seeds_of
-from aleator._core.interpreted import interpreted
+from aleator._core.dependence import Dependence, dependence, interpreted
+from aleator.dynamics import column_groups, seeds_of
 
 Block: TypeAlias = Callable[[Pytree, Pytree, Array, Array], Float[Array, " rows"]]
 """Of the data of the outer and of the inner index, of the shared and of the block's own variables."""

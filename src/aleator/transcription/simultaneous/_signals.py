@@ -16,7 +16,7 @@ from jax.core import eval_jaxpr
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
-from aleator._core.interpreted import interpreted
+from aleator._core.dependence import interpreted
 from aleator.nlp import SparseMatrix
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise
