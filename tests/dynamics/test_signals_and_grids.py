@@ -1,5 +1,4 @@
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate
@@ -85,12 +84,12 @@ def test_a_tables_values_may_mix_numbers_distributions_and_decisions():
     model = numbers_to_arrays({"u": al.Tabulated([0.0, 1.0, 3.0], values)})
     assert tuple(placements(model).distributions) == ("u.values.0",)
     assert tuple(placements(model).decisions) == ("u.values.2",)
-    assert float(named_numbers(model, jnp.array([4.0]))["u.values.1"]) == 2.0
-    signal = realise(model, jnp.array([1.0]), jnp.array([6.0]))["u"]
+    assert float(named_numbers(model, np.array([4.0]))["u.values.1"]) == 2.0
+    signal = realise(model, np.array([1.0]), np.array([6.0]))["u"]
     times = np.array([0.0, 0.5, 2.0])
     assert compiled(jax.vmap(signal))(times).tolist() == [1.5, 1.75, 4.0]
-    held = realise(at_means(model), jnp.zeros(0), jnp.array([6.0]))["u"]
-    assert compiled(jax.vmap(held))(times)[0] == 1.0
+    held = realise(at_means(model), np.zeros(0), np.array([6.0]))["u"]
+    assert compiled(jax.vmap(held))(times).tolist()[0] == 1.0
 
 
 def test_a_grid_knows_its_instants_and_simpsons_rule():

@@ -158,7 +158,7 @@ def test_at_means_realises_the_means_at_the_current_decisions():
     model = at_means(
         {"a": Uniform.bounds(Decision(1.0, upper=2.5), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0, 0.0)), "c": 5.0}
     )
-    real = realise(model, np.zeros(0), np.array([2.0, 4.0]))
+    real = compiled(lambda x: realise(model, np.zeros(0), x))(np.array([2.0, 4.0]))
     assert (float(real["a"]), float(real["b"]), real["c"]) == (2.5, 8.0, 5.0)
 
 
