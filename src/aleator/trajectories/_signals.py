@@ -4,6 +4,7 @@ Trajectories are functions over a duration that is set elsewhere, with their der
 """
 
 import abc
+import inspect
 from collections.abc import Callable, Iterable
 from types import SimpleNamespace
 from typing import Any, ClassVar, final
@@ -79,7 +80,13 @@ class Parametrised(AbstractSignal):
     p: dict[str, Any]
 
     def __init__(self, function: Callable[[Any, Any], Any], parameters: dict[str, Any]):
-        if not callable(function):
+        try:
+            takes_both = callable(function) and bool(inspect.signature(function).bind("t", "p"))
+        except TypeError:
+            takes_both = False
+        except ValueError:  # some functions of libraries do not tell their arguments
+            takes_both = True
+        if not takes_both:
             raise ProblemError(
                 "signal: expected a function of time and parameters, such as lambda t, p: p.rate * t; "
                 f"received {type(function).__name__} {function!r}."
