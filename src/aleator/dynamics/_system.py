@@ -300,7 +300,7 @@ def _first_line(error: Exception) -> str:
 def _hint(error: Exception) -> str:
     """The names of a state, where the code asked for an unknown one, and what else a state may lack."""
     if isinstance(error, IndexError) and "0-dimensional" in str(error):
-        return " A state without a value in initial() is a single number, zero: arrays are given there."
+        return ". A state without a value in initial() is a single number, zero: arrays are given there."
     names = getattr(getattr(error, "obj", None), "_fields", ())
     return f"; expected one of {names}." if isinstance(error, AttributeError) and names else ""
 
