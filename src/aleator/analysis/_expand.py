@@ -31,6 +31,7 @@ from aleator.ensemble import (
 )
 from aleator.expansion import (
     ILL_CONDITIONED,
+    ROUNDING,
     Adaptive,
     Collocation,
     Discretisation,
@@ -144,7 +145,8 @@ def _warn_of_ends(over: OverIntervals, fresh: Float[np.ndarray, "fresh variables
         ):
             missed = np.sum((values[here] - np.tensordot(matrix, own, axes=1)) ** 2) / len(matrix)
             spread = np.sum(np.square(own)[1:]) + missed, _LITTLE**2 * np.sum(np.square(whole)[1:])
-            worst = max(worst, float(np.sqrt(missed / max(*spread, np.finfo(float).tiny))))
+            least = max(ROUNDING**2 * np.sum(np.square(whole)), np.finfo(float).tiny)
+            worst = max(worst, float(np.sqrt(missed / max(*spread, least))))
         if not worst <= over.joint.tolerance:
             where = ", ".join(f"{name} = {x:.4g}" for name, x in over.numbers((end + 1) / 2).items())
             warnings.warn(

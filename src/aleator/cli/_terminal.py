@@ -28,8 +28,8 @@ FAILED, USAGE = 1, 2
 
 # What rich draws around the cells of each column, and at the end of a row.
 _AROUND, _END = 3, 1
-# Cells are wrapped to so many characters, where that makes all columns fit.
-_ROOMS = 32, 24, 16
+# Narrower than this no column is wrapped for the sake of its neighbours.
+_COMFORT = 16
 
 
 @final
@@ -129,41 +129,57 @@ class Terminal:
 
 
 def fitted(table: Table, width: int) -> Iterator[RichTable]:
-    """A table of a report as tables that fit a width, with no number cut: long cells are wrapped between words alone.
+    """A table of a report as tables that fit a width, with no number cut: lines are wrapped between words alone.
 
     As many columns as fit make a block, two at least; each block repeats the first column. The caption stands above
     the first block, the note below the last.
     """
-    half = (width - _END) // 2 - _AROUND
-    layouts = [
-        [[_wrapped(f"{cell}", room) for cell in column] for column in zip(table.header, *table.rows, strict=True)]
-        for room in (width, *_ROOMS, min(half, max(_ROOMS)))
-    ]
-    first, *others = next((columns for columns in layouts if _fit(columns, width)), layouts[-1])
-    blocks = [[first]]
+    columns = [list(column) for column in zip(table.header, *(map(str, row) for row in table.rows), strict=True)]
+    first, *others = columns
+    blocks: list[list[list[str]]] = [[first]]
     for column in others:
-        if len(blocks[-1]) > 1 and not _fit([*blocks[-1], column], width):
+        if len(blocks[-1]) > 1 and sum(_least(one) + _AROUND for one in (*blocks[-1], column)) + _END > width:
             blocks.append([first])
         blocks[-1].append(column)
     for i, block in enumerate(blocks):
         drawn = RichTable(caption_justify="left")
         drawn.title = table.caption if i == 0 else None
         drawn.caption = table.note if i == len(blocks) - 1 else None
-        for header, *_ in block:
-            drawn.add_column(header, no_wrap=True, overflow="fold")
-        for row in zip(*(column[1:] for column in block), strict=True):
+        cells = [
+            ["\n".join(_wrapped(cell, room)) for cell in column]
+            for column, room in zip(block, _widths(block, width), strict=True)
+        ]
+        for header, *_ in cells:
+            drawn.add_column(header, overflow="fold")
+        for row in zip(*(column[1:] for column in cells), strict=True):
             drawn.add_row(*row)
         yield drawn
 
 
-def _fit(columns: Sequence[Sequence[str]], width: int) -> bool:
-    widths = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in columns]
-    return sum(widths) + _AROUND * len(columns) + _END <= width
+def _natural(column: Sequence[str]) -> int:
+    return max(cell_len(line) for cell in column for line in cell.split("\n"))
 
 
-def _wrapped(cell: str, room: int) -> str:
-    # Numbers and units are joined by a space at which rich would break a line, and `textwrap` does not.
-    return "\n".join(textwrap.fill(line, max(room, 1), break_on_hyphens=False) for line in cell.split("\n"))
+def _least(column: Sequence[str]) -> int:
+    """That of the longest word. Numbers and units are joined by a space at which lines are not broken."""
+    longest = max((cell_len(word) for cell in column for word in cell.replace("\n", " ").split(" ")), default=0)
+    return max(longest, min(_natural(column), _COMFORT))
+
+
+def _widths(columns: Sequence[Sequence[str]], width: int) -> list[int]:
+    """A width for each column: its own, those with most to spare narrowed until all fit, or as far as words allow."""
+    widths, least = [_natural(column) for column in columns], [_least(column) for column in columns]
+    for _ in range(sum(widths) + _AROUND * len(columns) + _END - width):
+        spare = [one - other for one, other in zip(widths, least, strict=True)]
+        if max(spare) <= 0:  # only words longer than a line are cut
+            least = [min(one, _COMFORT) for one in least]
+        widths[spare.index(max(spare))] -= 1
+    return [max(one, 1) for one in widths]
+
+
+def _wrapped(cell: str, room: int) -> list[str]:
+    """The lines of a cell; a word is broken only where it is longer than its column."""
+    return [part for line in cell.split("\n") for part in (textwrap.wrap(line, room, break_on_hyphens=False) or [""])]
 
 
 # --- Progress --------------------------------------------------------------------------------------------------------
