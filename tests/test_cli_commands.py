@@ -1,5 +1,6 @@
 """The commands that compute: run, resume, sweep and validate; what they say, keep and take from an earlier run."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,29 @@ def test_help_and_a_new_study_do_not_wait_for_jax(tmp_path: Path, arguments: lis
 
 
 # --- Run and resume --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: Path, finished: Path, nothing_solved):
+    Record("bar.py", quick=True).write(finished)
+    before = json.loads((finished / "designs.json").read_text())
+    (here / "moved").mkdir()
+    for name in ("bar.py", "results"):
+        (here / name).rename(here / "moved" / name)
+    result = aleator("resume", "moved/results", "--json")
+    assert result.exit_code == 0, result.output
+    told = document(result)
+    assert set(told) == {
+        *("command", "folder", "finished", "files", "title", "verdict", "designs", "fronts", "recalled"),
+        *("exit_code", "errors"),
+    }
+    assert told["designs"]["designs/robust"]["evidence"]["samples"] == 200, "a quick run, as it was begun"
+    assert told["finished"][0] == "design nominal"
+    assert "wrote" in result.stderr
+    for name, design in before.items():
+        assert told["designs"][name]["objective"] == design["objective"]
+    # The front's first point is the design, under the same bound: a result asked for twice is counted once.
+    assert told["recalled"] == 2
 
 
 def test_a_run_that_takes_all_from_its_folder_leaves_its_results_as_they_are_if_these_are_whole(

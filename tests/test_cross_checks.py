@@ -1,5 +1,7 @@
 """Cross-checks: one problem by two transcriptions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,3 +35,15 @@ def test_two_transcriptions_agree_and_say_so(both):
     assert both.objective == pytest.approx(abs(np.subtract(*objectives)) / max(objectives))
     change = np.abs(both.first.vector - both.second.vector) / (2.0 - 0.5)  # the range of the rate
     assert both.decisions == pytest.approx({"rate.mean": change[0]})
+
+
+def test_what_is_not_solved_or_differs_does_not_agree_and_what_to_do_is_said(both):
+    failed = replace(both, second=replace(both.second, status=al.Status.FAILED))
+    assert not failed.agree
+    assert "are not both solved, nor agree" in str(failed)
+    apart = replace(both, objective=2e-4)
+    assert not apart.agree
+    assert "Refine both grids (refine=True" in str(apart)
+    flat = replace(both, decisions={"rate.mean": 0.1}, statistics={"x": 2e-4})
+    assert not flat.agree
+    assert "Both reach the same objective, by other values of rate.mean" in str(flat)
