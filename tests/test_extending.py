@@ -10,7 +10,7 @@ from jax.scipy.special import ndtr
 
 import aleator as al
 from aleator import extending as ext
-from zoo import MASS, Bar, Decay
+from zoo import Decay
 
 
 class Arcsine(ext.AbstractDistribution):
@@ -103,51 +103,6 @@ def test_what_a_solver_claims_is_not_believed():
     found = al.solve(problem(al.terminal("x").mean), Claiming(), throw=False)
     assert not found.ok
     assert found.certificate.stationarity > 1e-3
-
-
-def margin(spread):
-    return 1.0 * spread
-
-
-SHARE = 1.0
-
-
-def share_of(basis):
-    return jnp.asarray(SHARE)
-
-
-class Kept(ext.AbstractStatistic):
-    """A margin that global code says; a sample gives no number of it."""
-
-    symbol = "kept"
-
-    @property
-    def preparation(self):
-        return share_of
-
-    def of(self, coefficients, constants):
-        return coefficients[0] - constants * margin(jnp.sqrt(jnp.sum(coefficients[1:] ** 2, axis=0)))
-
-    def of_sample(self, values):
-        return values.mean(axis=0) * jnp.nan
-
-
-def held():
-    """The lightest bar, of a normal width with deviation 0.1, whose statistic is one."""
-    bar = Bar(al.Normal(al.Decision(2.0, 0.1, 3.0), 0.1), 1.0)
-    return al.solve(al.Problem(bar, minimize=MASS.mean, subject_to=[al.output("mass").statistic(Kept()) >= 1.0]))
-
-
-@pytest.mark.slow
-def test_a_statistic_may_prepare_numbers_and_code_that_it_reads_may_change(monkeypatch):
-    first = held()
-    assert first.objective == pytest.approx(1.1, abs=1e-6)
-    with pytest.warns(al.ExpansionWarning, match="nan"):
-        assert not al.validate(first, 500, seed=0).agrees
-    monkeypatch.setitem(globals(), "margin", lambda spread: 3.0 * spread)
-    assert held().objective == pytest.approx(1.3, abs=1e-6)
-    monkeypatch.setitem(globals(), "SHARE", 2.0)
-    assert held().objective == pytest.approx(1.6, abs=1e-6)
 
 
 CONTRADICTIONS = {

@@ -308,27 +308,6 @@ def test_a_checked_number_is_stored_as_a_plain_one():
 
 # --- Words that lead on ----------------------------------------------------------------------------------------------
 
-HINTS: dict[str, tuple[Callable[[], Any], str]] = {
-    "an integrator by its place": (
-        lambda: al.simulate(Decay(1.0), al.Grid(1.0, 1), typing.cast(Any, al.integrators.Tsit5())),
-        "integrator=Tsit5(",
-    ),
-    "a velocity in a start": (
-        lambda: al.ForwardDynamics(Crane(), start={"sway": (0.0, 0.5)}),
-        "Give its velocity as 'sway_rate'.",
-    ),
-    "an expression as a number": (
-        lambda: al.Decision(typing.cast(Any, al.value("width")), 0.0, 1.0),
-        "received Expression(width)",
-    ),
-}
-
-
-@pytest.mark.parametrize("what", HINTS)
-def test_a_refusal_says_what_to_write(what):
-    call, words = HINTS[what]
-    refuses(call, words)
-
 
 def test_an_error_of_a_models_own_code_is_no_wrong_argument():
     with pytest.raises(TypeError, match="of its own"):
@@ -337,10 +316,6 @@ def test_an_error_of_a_models_own_code_is_no_wrong_argument():
 
 def _of_its_own(self, rate):
     raise TypeError("of its own")
-
-
-def test_a_solution_is_one_line_where_only_its_name_is_asked_for():
-    assert repr(solution()) == f"<Solution of Bar: objective {solution().objective:.6g}, feasible>"
 
 
 def test_a_long_value_is_shortened_and_a_misspelt_name_leads_to_the_right_one():

@@ -2,14 +2,12 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator.expansion import Adaptive
-from compiling import compiled
 from zoo import Decay
 
 GRID = al.Grid(10.0, 100)
@@ -92,21 +90,6 @@ class Root(al.AlgebraicSystem):
 
     def outputs(self, rho):
         return {"x": rho.x, "square": rho.x**2}
-
-
-@pytest.mark.slow
-def test_a_stiffness_that_is_uniform_gives_the_moments_of_its_integrals_and_their_derivative():
-    """`E[f/k] = f/(2h) log((m + h)/(m - h))` and `E[(f/k)²] = f²/((m - h)(m + h))`, here for m = 1, h = 0.5, f = 2."""
-
-    def moments(h):
-        expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=h)), expansion=al.Expansion(14))
-        return expanded.mean["u"], expanded.variance["u"]
-
-    (mean, variance), (slope, _) = compiled(lambda h: (moments(h), jax.jacfwd(moments)(h)))(0.5)
-    exact = 2.0 * np.log(3.0)
-    assert float(mean) == pytest.approx(exact, rel=1e-12)
-    assert float(variance) == pytest.approx(4 / 0.75 - exact**2, rel=1e-10)
-    assert float(slope) == pytest.approx(2.0 * (2 / 0.75 - np.log(3.0) / 0.5), rel=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:galerkin:aleator.ExpansionWarning")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import aleator as al
-from compiling import answers
 
 SLOPES = {"a": 1.0, "b": -0.7, "c": 0.4}
 STDS = {"a": 0.5, "b": 1.0, "c": 2.0}
@@ -52,18 +51,6 @@ def test_effects_of_linear_functions_of_correlated_normals_are_exact():
     expanded = al.expand(linear, correlated("bca"), al.Expansion(order=1))
     for name, exact in exact_of_linear().items():
         np.testing.assert_allclose(expanded.shapley(name), exact, rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
-    distributions = {"x": al.Uniform.bounds(-1.0, 1.0), "y": al.Normal(0.0, 1.0), "z": al.Gamma(mean=1.0, std=0.2)}
-    expanded = al.expand(lambda at: at["x"] * at["y"] + at["z"] * (1 + at["x"]), distributions, al.Expansion(order=4))
-    subsets = [names for size in (1, 2, 3) for names in combinations(distributions, size)]
-    indices = answers(expanded, [lambda one, names=names: one.sobol(*names) for names in subsets])
-    effects = answers(expanded, [lambda one, name=name: one.shapley(name) for name in distributions])
-    for name, effect in zip(distributions, effects, strict=True):
-        shared = [float(index) / len(names) for names, index in zip(subsets, indices, strict=True) if name in names]
-        np.testing.assert_allclose(effect, sum(shared), rtol=1e-12)
 
 
 def test_sobol_indices_of_correlated_inputs_are_refused_with_what_to_take():

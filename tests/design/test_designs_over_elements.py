@@ -1,12 +1,9 @@
 """Designs whose outputs are expanded in elements, against closed forms and published numbers."""
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import aleator as al
-from bouncing import Ball
-from zoo import G
 
 
 class Kinked(al.AlgebraicSystem):
@@ -89,28 +86,3 @@ def test_a_jump_that_a_decision_moves_is_followed_where_it_is_smooth_and_refused
     # Inside its bounds `1 - d + 5 (d - 0.6)²` is least at 0.7, where derivatives at fixed points say 0.6.
     with pytest.raises(al.SolveError, match="leave out how a jump moves"):
         al.solve(with_threshold("bowl", al.Decision(0.0, 0.0, 1.0)))
-
-
-@pytest.mark.slow
-def test_a_jump_that_a_decision_moves_is_refused_beside_an_interval_too():
-    with pytest.raises(al.SolveError, match="leave out how a jump moves"):
-        al.solve(with_threshold("cost", LOW, rate=al.Interval(0.1, 0.2)))
-
-
-@pytest.mark.slow
-def test_the_price_of_a_limit_leaves_out_no_bounce():
-    """Of balls that bounce twice or thrice in 0.9 s: 11.2 by derivatives at fixed points, where 0.485 is right."""
-    problem = al.Problem(
-        Ball(al.Decision(0.7, 0.65, 0.75), al.Uniform.bounds(0.3, 0.5)),
-        grid=al.Grid(0.9, 40),
-        minimize=-al.terminal("v").mean,
-        subject_to=[al.value("e") <= 0.7],
-        expansion=al.MultiElement(3, error=1e-2),
-    )
-    with pytest.raises(al.SolveError, match="leave out how a jump moves") as raised:
-        al.solve(problem)
-    heights = np.linspace(0.3, 0.5, 20_001)
-    falls = np.sqrt(2 * heights / G)
-    twice, thrice = 1.7 * (1 + 0.7), 1.7 * (1 + 0.7 + 0.7**2)  # the jumps of the velocity so far
-    velocity = G * (falls * np.where(falls * (1 + 2 * 0.7 + 2 * 0.7**2) > 0.9, twice, thrice) - 0.9)
-    assert -raised.value.solution.objective == pytest.approx(velocity.mean(), abs=1e-3)

@@ -2,7 +2,6 @@
 
 import math
 from types import SimpleNamespace
-from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.design import Taken, units_of
+from aleator.design import Taken
 from compiling import compiled
 from zoo import (
     HALF_WIDTH,
@@ -177,37 +176,6 @@ def test_a_target_with_a_variance_a_quotient_and_an_own_function_have_their_clos
     at = 3 / (1 + SPREAD)
     assert found.decisions["gain"] == pytest.approx(at, rel=1e-6)
     assert found.objective == pytest.approx((at - 4) ** 2 + at**2 * VARIANCE + SPREAD / at, rel=1e-6)
-
-
-class WithUnits(Gain):
-    units: ClassVar = {"response": "N", "loss": "m"}
-
-
-def test_units_follow_products_quotients_and_powers():
-    force, length = RESPONSE.mean, LOSS.mean
-    system = WithUnits(al.Decision(1.0), al.Uniform(1.0, half_width=HALF_WIDTH))
-    problem = al.Problem(system, grid=ONE_STEP, minimize=force)
-    expected = {
-        "N m": force * length,
-        "N/m": force / length,
-        "-": force / RESPONSE.std,
-        "1/m": 1 / length,
-        "m³": length**3,
-        "N²": (force - 3) ** 2 + RESPONSE.variance,
-        "N": al.expressions.maximum(force, RESPONSE.std),
-        "m": al.expressions.positive_part(length),
-        "": al.expressions.function(distance, force, length),
-    }
-    for unit, expression in expected.items():
-        assert expression.unit(units_of(expression, problem)) == unit
-
-
-@pytest.mark.slow
-def test_an_own_function_is_asked_for_each_instant_by_itself():
-    """A sum over instants would grow with every finer grid that judges the answer."""
-    clipped = al.expressions.function(lambda now: jnp.max(now), al.path("response").mean)
-    found = al.solve(gain(LOSS.mean, subject_to=[clipped <= 2.0]))
-    assert found.decisions["gain"] == pytest.approx(2.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(

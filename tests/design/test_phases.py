@@ -132,18 +132,6 @@ def test_instants_of_phases_stand_one_after_the_other():
 
 
 @pytest.mark.slow
-def test_fresh_systems_agree_and_figures_show_each_phase():
-    found = staged()
-    evidence = al.validate(found, samples=200, seed=1)
-    assert evidence.agrees, evidence
-    end = found.instants[-1]
-    figures = found.plot.band("first.v"), evidence.plot.band("first.v"), found.plot.histories("second.m")
-    for figure, span in zip(figures, [(0.0, 5.0), (0.0, 5.0), (5.0, end)], strict=True):
-        shown = np.concatenate([np.asarray(one.x, float) for one in figure.data if one.x[0] is not None])
-        assert (np.nanmin(shown), np.nanmax(shown)) == pytest.approx(span, rel=1e-6)
-
-
-@pytest.mark.slow
 def test_meshes_of_phases_are_refined_until_a_collocated_burn_is_the_simulated_one():
     burn, limit = al.objectives.final_time("second"), al.terminal("h").at_least(700.0, sigmas=1)
     way = al.Simultaneous(al.schemes.Radau(2), error=1e-6, most_stages=6)
@@ -183,40 +171,14 @@ def test_a_simulation_returns_the_outputs_of_each_phase():
         al.simulate(phases, only=["h"])
 
 
-class Swinging(al.System):
-    """A spring that passes its middle in both directions."""
-
-    states = ("x", "v")
-    events: ClassVar = {"middle": al.Event(lambda self, t, z: z.x)}
-
-    def initial(self):
-        return {"x": 1.0}
-
-    def rhs(self, t, z):
-        return z.v, -z.x
-
-    def outputs(self, t, z):
-        return {"v": z.v}
-
-
-@pytest.mark.slow
-def test_a_phase_begins_at_the_event_of_both_directions_that_ended_the_one_before():
-    swing = al.Phase(Swinging(), al.Grid(until="middle", at_most=4.0, steps=100))
-    history = al.simulate(al.Phases(there=swing, back=swing))
-    assert (history["there.v"][-1], history["back.v"][-1]) == (pytest.approx(-1, abs=1e-7), pytest.approx(1, abs=1e-7))
-
-
 @pytest.mark.slow
 def test_a_phase_that_never_ends_is_named_with_the_states_that_it_begins_with():
-    phases = al.Phases(
-        first=al.Phase(Rocket(al.Decision(500.0, 400.0, 600.0), 2.0), al.Grid(1.0, 4)),
-        second=al.Phase(Rocket(0.0), al.Grid(until="top", at_most=1.0, steps=4)),
-    )
+    first, fixed = (al.Phase(Rocket(one, 2.0), al.Grid(1.0, 4)) for one in (al.Decision(500.0, 400.0, 600.0), 500.0))
+    second = al.Phase(Rocket(0.0), al.Grid(until="top", at_most=1.0, steps=4))
     with pytest.raises(al.SimulationError, match=r"In the phase 'second', Rocket .*never meets 'top'"):
-        al.solve(al.Problem(phases, minimize=al.terminal("h").mean))
-    last = al.Phase(Swinging(), al.Grid(until="middle", at_most=0.1, steps=2))
-    with pytest.warns(al.SimulationWarning, match=r"In the phase 'last', Swinging .*never meets 'middle'"):
-        history = al.simulate(al.Phases(first=al.Phase(Swinging(), al.Grid(0.1, 2)), last=last))
+        al.solve(al.Problem(al.Phases(first=first, second=second), minimize=al.terminal("h").mean))
+    with pytest.warns(al.SimulationWarning, match=r"In the phase 'second', Rocket .*never meets 'top'"):
+        history = al.simulate(al.Phases(first=fixed, second=second))
     assert np.isfinite(history["first.v"]).all()
 
 

@@ -170,28 +170,3 @@ SYSTEM = Hardening(a=al.Uniform(2.0, half_width=al.Decision(0.2, 0.01, 1.5)))
 def test_a_problem_that_does_not_fit_its_kind_of_system_is_refused(declare, message):
     with pytest.raises(al.ProblemError, match=message):
         declare()
-
-
-@pytest.mark.slow
-def test_the_tolerance_of_an_assembly_is_that_of_its_closed_form():
-    """The one-way clutch (dissertation, section 5.6): how wide the tolerance of the hub may be."""
-    clutch = al.Assembly(
-        dimensions={
-            "a": al.Normal(27.645, al.Decision(0.02, 0.001, 0.3)),
-            "c": al.Normal(11.43, 0.0033),
-            "e": al.Normal(50.8, 0.0042),
-        },
-        unknowns={"b": 4.8, "chi": 7.0},
-        loops=[[("a", 90), ("b", 0), ("c", 90), ("c", "90 - chi"), ("-e", "90 - chi")]],
-    )
-    cost = al.cost.reciprocal("a.std", bias=0.1, scale=0.001)
-    limit = al.output("chi").within(6.5, 7.5, sigmas=3.0)
-    std = optimum(al.Problem(clutch, minimize=cost, subject_to=[limit])).decisions["a.std"]
-    nodes, weights = np.polynomial.hermite_e.hermegauss(12)
-    a, c, e = np.meshgrid(27.645 + std * nodes, 11.43 + 0.0033 * nodes, 50.8 + 0.0042 * nodes, indexing="ij")
-    weight = np.prod(np.meshgrid(weights, weights, weights, indexing="ij"), axis=0) / (2 * np.pi) ** 1.5
-    angle = np.rad2deg(np.arccos((a + c) / (e - c)))
-    mean = np.sum(weight * angle)
-    spread = np.sqrt(np.sum(weight * (angle - mean) ** 2))
-    ends = [(mean + 3 * spread - 7.5) / spread, (6.5 - mean + 3 * spread) / spread]
-    assert max(ends) == pytest.approx(0.0, abs=1e-4)

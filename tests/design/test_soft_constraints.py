@@ -99,16 +99,6 @@ def test_soft_limits_tend_to_hard_ones_in_inverse_proportion_to_the_weight():
     np.testing.assert_allclose(np.diff(np.log(missed)) / np.diff(np.log(weights)), -1.0, atol=0.01)
 
 
-def test_an_exact_penalty_reads_as_mathematics_and_leaves_the_other_limits():
-    both = problem((RESPONSE.mean <= LIMIT).named("top"), RESPONSE.mean >= 0.5)
-    softened = al.soft(both, "top", weight=3.0, exact=True)
-    assert "μ[loss(t_f)] + 3 top.excess" in str(softened)
-    assert "top: μ[response(t_f)] − top.excess ≤ 2" in str(softened)
-    assert softened.names == ("top", "response")
-    text = str(al.soft(problem(RESPONSE.mean <= LIMIT, al.path("response").mean.equals(1.0)), weight=WEIGHT))
-    assert "μ[loss(t_f)] + 4 (max(μ[response(t_f)] − 2, 0))² + 4 ∫(μ[response(t)] − 1)² dt" in text
-
-
 def test_a_decision_of_ones_own_joins_two_limits_to_the_least_largest_value():
     # max(|g - 1|, |g - 4|) is least at 2.5, where it is 1.5.
     level, own = al.value("level"), {"level": al.Decision(1.0, 0.0)}
@@ -116,17 +106,6 @@ def test_a_decision_of_ones_own_joins_two_limits_to_the_least_largest_value():
     found = optimum(al.Problem(ends.system, minimize=level, subject_to=ends.constraints, decisions=own))
     assert found.objective == pytest.approx(1.5, rel=1e-6)
     assert found.decisions["gains"] == pytest.approx([2.5], rel=1e-6)
-
-
-@pytest.mark.slow
-def test_a_slack_with_a_bound_can_be_searched_and_is_hard_beyond_it():
-    # `(g - 3)² + w (g - 2)` is least at 3 - w/2.
-    hard, search = apart(lambda r: r.mean <= LIMIT), al.solvers.DifferentialEvolution(evaluations=400, population=24)
-    with pytest.raises(al.ProblemError, match=r"'r0\.excess' has none.*most="):
-        al.solve(al.soft(hard, weight=0.5, exact=True), search)
-    for most, gain in ((0.9, 2.75), (0.5, 2.5)):
-        found = al.solve(al.soft(hard, weight=0.5, exact=True, most=most), search)
-        assert found.decisions["gains"] == pytest.approx([gain], rel=1e-6)
 
 
 EXACTLY = {"weight": 1.0, "exact": True}

@@ -163,18 +163,6 @@ def test_indices_of_the_ishigami_function_are_the_published_ones():
     assert all(one.standard_error < 0.005 for one in [*found.first.values(), *found.total.values()])
 
 
-def test_indices_have_the_structure_of_the_outputs():
-    def parts_of(m):
-        return {"path": m["x"] * jnp.arange(3.0) + 5.0, "y": m["y"]}
-
-    found = al.references.sobol_indices(parts_of, ISHIGAMI, 16 * 64)
-    # The first instant is certain, and nothing has a share of it.
-    np.testing.assert_allclose(found.total["x"]["path"].value, [0, 1, 1], atol=0.05)
-    np.testing.assert_allclose(found.first["y"]["path"].value, 0, atol=0.05)
-    assert found.total["y"]["y"].value == pytest.approx(1.0, abs=0.05)
-    assert "x: first" in str(al.references.sobol_indices(ishigami, ISHIGAMI, 16 * 64))
-
-
 def test_a_constant_output_is_refused():
     with pytest.raises(al.ProblemError, match="does not vary"):
         al.references.sobol_indices(lambda m: 0 * m["x"] + 2, ISHIGAMI, 16 * 64)

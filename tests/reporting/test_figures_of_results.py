@@ -80,36 +80,6 @@ def test_limits_on_a_path_are_drawn_with_the_systems_for_which_they_hold_and_whe
     assert titles(figure) == ("Time (s)", "reach &lt;b&gt;&amp; (m)")
 
 
-@pytest.mark.slow
-def test_one_figure_of_a_design_has_inputs_then_limits_active_ones_first_then_decisions():
-    idle, held = al.path("x").mean <= 2.0, al.path("v").at_most(0.7, sigmas=1.0)
-    start = given.move()
-    ends = list(start.constraints[:2])
-    problem = al.Problem(
-        start.system,
-        grid=al.Grid(1.0, 6),
-        inputs=start.inputs,
-        minimize=start.objective,
-        subject_to=[idle.named("idle"), held.named("held"), *ends],
-        expansion=start.expansion,
-    )
-    solution = al.solve(problem)
-    assert "held" in solution.active
-    figure = solution.plot()
-    axes = [getattr(figure.layout, f"yaxis{place}") for place in ("", 2, 3)]
-    assert [one.title.text for one in axes] == ["push", "v", "x"]
-    tops = [one.domain[1] for one in (*axes, figure.layout.yaxis4)]
-    assert tops == sorted(tops, reverse=True)
-    curves = {one.yaxis: one for one in figure.data if one.line.dash}
-    push, speed, place = (curves[name] for name in ("y", "y2", "y3"))
-    np.testing.assert_allclose(numbers(push.y), solution.inputs["push"]["mean"], rtol=1e-5)
-    np.testing.assert_allclose(numbers(speed.y), solution.moments["v(t)"].mean, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(numbers(place.y), solution.moments["x(t)"].mean, rtol=1e-5, atol=1e-6)
-    assert {(one.yref, one.y0) for one in figure.layout.shapes} == {("y2", 0.7), ("y3", 2.0)}
-    (decision,) = {name for one in figure.data if one.yaxis == "y4" for name in one.y}
-    assert decision == "inputs.push"
-
-
 def test_histories_are_those_of_random_systems_at_the_decisions():
     solution = given.solution()
     figure = solution.plot.histories("back", samples=3, seed=7)
@@ -190,13 +160,6 @@ def test_the_density_of_an_expanded_output_is_that_of_its_distribution():
     (line,) = shown.expanded().plot.density("sum <b>&").data
     x = numbers(line.x)
     np.testing.assert_allclose(numbers(line.y), scipy.stats.norm(3.0, np.sqrt(13.0)).pdf(x), rtol=0.02, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_contributions_to_a_tolerance_show_where_spread_comes_from():
-    for bars in shown.tolerances().plot.contributions().data:
-        assert list(bars.x) == ["plate", "housing"]
-        np.testing.assert_allclose(bars.y, [64.0, 36.0], rtol=1e-6)
 
 
 @pytest.mark.slow

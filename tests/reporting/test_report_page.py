@@ -14,7 +14,7 @@ from aleator import ProblemError
 from aleator.reporting import report
 from aleator.reporting._first_screen import proposal
 from aleator.reporting._numbers import number
-from aleator.reporting._tables import certificate_table, designs_table, evidence_table
+from aleator.reporting._tables import designs_table, evidence_table
 from aleator.validation._comparisons import Disagreement
 from zoo import MASS, STRESS, TwoBasins, bar_problem
 
@@ -90,25 +90,6 @@ def test_an_infeasible_solution_is_named_first_with_the_reason(tmp_path):
     text = reported(tmp_path, one).text
     assert "is not solved" in text
     assert text.index("Not solved") < text.index(one.why()) < text.index("Designs")
-
-
-def test_a_solution_by_collocation_tells_its_equalities_what_is_violated_and_how_states_were_found(tmp_path):
-    found = given.collocated()
-    text = reported(tmp_path, found).text
-    assert "Meshes of design" in text
-    assert f"HermiteSimpson on {found.mesh.intervals} intervals" in text
-    assert "RungeKutta4" not in text
-    rows = {row[0]: row[1] for row in designs_table({"move": found}, {}).rows}
-    assert rows["there: worst value"].startswith("0.50000 = 0.5")
-    assert rows["spread: worst value"].split()[1] == "≤"
-    assert "Violated" not in rows
-    states = {row[0]: row[1] for row in certificate_table({"move": found}).rows}["States"]
-    assert states == f"variables, {found.mesh.intervals} intervals of {found.mesh.scheme}"
-    broken = replace(found.constraints[0], values=found.constraints[0].values + 1.0)
-    table = designs_table({"move": replace(found, constraints=(broken, *found.constraints[1:]))}, {})
-    rows = {row[0]: row[1] for row in table.rows}
-    assert rows["Violated"] == broken.name
-    assert broken.name not in rows["Active"]
 
 
 def test_a_page_tells_that_a_front_found_a_better_optimum_than_its_design(tmp_path):

@@ -56,24 +56,6 @@ def test_a_solution_reopens_with_equal_numbers_and_units(tree):
     assert data.attrs["status"] == one.status.value
 
 
-@pytest.mark.slow
-def test_a_solution_by_collocation_reopens_with_states_costates_meshes_and_its_scheme(tree):
-    data, found = tree["designs/a∕b"].to_dataset(), given.collocated()
-    np.testing.assert_array_equal(data["germ"], found.mesh_states.germs)
-    for kind, one in (
-        ("state", found.mesh_states),
-        ("costate", found.costates),
-        ("switching function", found.switching),
-    ):
-        np.testing.assert_array_equal(data[f"times of {kind}s"], one.times)
-        for name, values in one.values.items():
-            np.testing.assert_array_equal(data[f"{kind} {name}"], values)
-    np.testing.assert_array_equal(data["mesh 1"], found.meshes[0].nodes)
-    np.testing.assert_array_equal(data["mesh 2 drift"], found.meshes[1].drifts)
-    assert f"HermiteSimpson on {found.mesh.intervals} intervals" in data.attrs["problem"]
-    assert "RungeKutta4" not in data.attrs["problem"]
-
-
 def test_evidence_and_a_calibration_reopen_with_equal_numbers(tree):
     data, one = tree["evidence/uOpt"].to_dataset(), given.evidence()
     assert float(data["violation_upper"].sel(limit=given.NAME)) == one.violations[given.NAME].upper
@@ -86,14 +68,6 @@ def test_evidence_and_a_calibration_reopen_with_equal_numbers(tree):
     assert data.attrs["verdict"] == one.sentence()
     assert data.attrs["fresh_upper"] == one.confirmation.upper <= one.target
     assert set(data["sigmas"].values) == {trial.sigmas for trial in one.trials}
-
-
-def test_a_dataset_of_a_study_is_saved_whole_with_its_attributes(tmp_path):
-    own = xarray.Dataset({"gap": ("part", [0.1, 0.2])}, attrs={"drawing": "A-17"})
-    save(tmp_path, measured={"gaps": own})
-    saved = reopened(tmp_path)["measured/gaps"].to_dataset()
-    assert saved.attrs["drawing"] == "A-17"
-    np.testing.assert_array_equal(saved["gap"], own["gap"])
 
 
 def test_a_front_reopens_along_its_bound_and_with_why_points_are_missing(tree):

@@ -2,12 +2,11 @@
 tails.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate, special, stats
-from small_expansions import basis_of, coefficients_of_polynomial, prepare, random_coefficients
+from small_expansions import basis_of, coefficients_of_polynomial, prepare
 
 import aleator as al
 from aleator._core.errors import ProblemError
@@ -19,10 +18,8 @@ from aleator.statistics import (
     cdf,
     lines_through,
     pdf,
-    sloped,
 )
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
-from compiling import compiled
 
 
 def value(statistic, coefficients, basis):
@@ -187,37 +184,6 @@ def test_in_the_gap_of_a_density_errors_cover_what_its_table_misses():
     far, error = Probability(above=1.0).estimated(identity, lines)
     assert float(far) == pytest.approx((1 - part) * stats.norm.sf(1.0) + part, abs=1e-8)
     assert float(error) == 0.0
-
-
-def in_elements():
-    """A function with a kink, in elements: their basis and its coefficients."""
-    numbers = {"x": al.Uniform(0.0, half_width=1.0), "y": al.Normal(0.0, 1.0)}
-    expanded = al.expand(lambda at: jnp.abs(at["x"] - 0.2) + 0.3 * at["y"], numbers, al.MultiElement(2))
-    return expanded.basis, np.asarray(expanded.coefficients)
-
-
-BASES = {
-    "two variables": lambda: (two := basis_of([LegendreGerm(), HermiteGerm()], 2), random_coefficients(two, 3)),
-    "elements": in_elements,
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "which"),
-    [
-        (Probability(below=-0.1), "elements"),
-        (ConditionalValueAtRisk(0.7), "two variables"),
-    ],
-)
-def test_tails_of_known_coefficients_and_their_slopes_are_those_of_programs(kind, which):
-    basis, coefficients = BASES[which]()
-    # Those of a path: beside all lines of one output, others along a variable may be taken where it is known.
-    lines = prepare([kind], basis).of(kind).for_one_of(100)
-    known = sloped(kind, coefficients[:, None], lines)
-    value, slopes = compiled(jax.value_and_grad(lambda terms: kind.of(terms, lines)))(jnp.asarray(coefficients))
-    assert known.values == pytest.approx(float(value), rel=1e-10)
-    np.testing.assert_allclose(known.slopes[:, 0], slopes, rtol=1e-6, atol=1e-8)
 
 
 def test_a_called_function_that_returns_one_array_again_and_again_is_read_each_time():

@@ -31,20 +31,10 @@ OF_SAMPLES = [
     *(Variance(), Std(), Skewness(), Kurtosis(), Covariance(), Correlation(), CornishFisher(0.9), Quantile(0.9)),
     *(Probability(above=0.1), Probability(above=-0.5, below=0.5), ConditionalValueAtRisk(0.9), Supremum()),
 ]
-BY_LINES = [Quantile(0.9), Supremum()]
 
 
 def shape_of(statistic):
     return (3, 2) if isinstance(statistic, Covariance | Correlation) else (3,)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("statistic", BY_LINES, ids=lambda one: one.text("y"))
-def test_one_coefficient_that_is_no_number_spoils_its_own_entry_and_no_other(statistic):
-    coefficients = random_coefficients(BOUNDED, shape=(3,))
-    constants = prepare([statistic], BOUNDED).of(statistic)
-    found = np.asarray(compiled(lambda c: statistic.of(c, constants))(coefficients.at[2, 1].set(jnp.nan)))
-    np.testing.assert_array_equal(np.isnan(found), [False, True, False])
 
 
 def test_one_value_of_a_sample_that_is_no_number_spoils_its_own_entry_and_no_other():

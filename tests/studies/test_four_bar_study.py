@@ -1,6 +1,5 @@
-"""The four-bar study: its linkage against closed forms, elimination and free bodies, and its designs against counts."""
+"""The four-bar study: its linkage against closed forms and elimination, and its designs against counts."""
 
-import math
 from functools import cache
 
 import numpy as np
@@ -14,7 +13,6 @@ from aleator.studies.four_bar._chapter import ALLOCATED, COUNT_UNITS, DESIGNS, N
 from aleator.studies.four_bar._elimination import count_linkages, crank_angles, posture, posture_of
 from compiling import compiled
 
-G = 9.81
 PLAYS, SEATS = {"crank": 0.05, "rocker": 0.08}, {"crank": (0.3, -0.4), "rocker": (-0.6, 0.2)}
 BARS = ("crank", "coupler", "rocker")
 UNEVEN = {**dict(zip(BARS, (95.0, 265.0, 270.0), strict=True)), "ground": 211.0, "along": 533.0, "across": 7.0}
@@ -60,47 +58,6 @@ def test_the_path_of_the_closed_loop_is_that_of_elimination():
     np.testing.assert_allclose(found["x"], expected.tool[:, 0], rtol=1e-10)
     np.testing.assert_allclose(found["deviation"] + HEIGHT, expected.tool[:, 1], rtol=1e-10)
     np.testing.assert_allclose(found["transmission"], expected.transmission, rtol=1e-10)
-
-
-@pytest.mark.slow
-def test_reactions_and_torque_balance_free_bodies():
-    """Newton and Euler for each bar, in the plane, from its angles alone: forces in the pins and the motor's torque."""
-    found, (a, b, c) = simulated(), (UNEVEN[name] / 1e3 for name in BARS)
-    tool, density = 2.0, 2.0
-    along, across = UNEVEN["along"] / 1e3, UNEVEN["across"] / 1e3
-    angle, rate, growth = (np.stack([found[f"{name}{end}"] for name in BARS]) for end in ("", "_rate", "_acceleration"))
-
-    def acceleration(i, x, y):
-        """Of a point at (x, y) along and across a bar that turns, its origin at rest."""
-        u, n = np.stack([np.cos(angle[i]), np.sin(angle[i])]), np.stack([-np.sin(angle[i]), np.cos(angle[i])])
-        return growth[i] * (x * n - y * u) - rate[i] ** 2 * (x * u + y * n)
-
-    def arm(i, x, y):
-        u, n = np.stack([np.cos(angle[i]), np.sin(angle[i])]), np.stack([-np.sin(angle[i]), np.cos(angle[i])])
-        return x * u + y * n
-
-    def cross(p, q):
-        return p[0] * q[1] - p[1] * q[0]
-
-    weight = np.array([[0.0], [-G]])
-    long = math.hypot(along, across)
-    crank, coupler, rocker = density * a, density * long, density * c
-    at_pin = acceleration(0, a, 0.0)
-    centre, end = at_pin + acceleration(1, along / 2, across / 2), at_pin + acceleration(1, along, across)
-    on_rocker = np.stack([found["pin_x_multiplier"], found["pin_y_multiplier"]])
-    on_coupler = coupler * (centre - weight) + tool * (end - weight) + on_rocker
-    np.testing.assert_allclose(found["crank_pin"], np.hypot(*on_coupler), rtol=1e-9)
-    np.testing.assert_allclose(found["rocker_pin"], np.hypot(*on_rocker), rtol=1e-9)
-    # Moments about the crank's pin, the rocker's bearing, and the crank's bearing.
-    bar = coupler * long**2 / 12 * growth[1] + cross(arm(1, along / 2, across / 2), coupler * (centre - weight))
-    loads = bar + cross(arm(1, along, across), tool * (end - weight)) + cross(arm(1, b, 0.0), on_rocker)
-    np.testing.assert_allclose(loads, 0.0, atol=1e-9)
-    lifted = rocker * c**2 / 3 * growth[2] - cross(arm(2, c / 2, 0.0), rocker * weight)
-    np.testing.assert_allclose(lifted, cross(arm(2, c, 0.0), on_rocker), atol=1e-9)
-    turned = (
-        crank * a**2 / 3 * growth[0] - cross(arm(0, a / 2, 0.0), crank * weight) + cross(arm(0, a, 0.0), on_coupler)
-    )
-    np.testing.assert_allclose(found["crank_torque"], turned, atol=1e-9)
 
 
 def test_counts_find_the_published_linkage_within_its_published_error():
@@ -175,13 +132,3 @@ def test_the_designs_hold_on_fresh_linkages_which_elimination_counts_as_well(pag
     assert simulated.lower <= outside[ALLOCATED].upper
     assert outside[ALLOCATED].lower <= simulated.upper
     assert designs[ALLOCATED].objective < designs[ROBUST].objective
-
-
-@pytest.mark.slow
-def test_the_page_has_every_section_and_a_verdict(page, tmp_path):
-    said = page.page().verdict
-    assert said.word in ("Build", "Do not build yet")
-    assert len(said.sentences) == 4
-    assert [one.heading for one in page.page().sections][:3] == ["The linkage", "The three designs", "The path"]
-    written = [*page.save(tmp_path), page.write(tmp_path)]
-    assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}

@@ -15,7 +15,6 @@ from aleator.studies._motion import TARGET as TOLERATED
 from aleator.studies.pick_and_place_effort._chapter import ROBUST
 from aleator.studies.pick_and_place_time._chapter import MEAN, ONE, REFERENCE, WORST
 from aleator.studies.swing_up._chapter import EXPECTED
-from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.uncertainty import realise
 from six_axis_arm import robust_problem as six_axis_problem
 
@@ -119,22 +118,6 @@ def test_the_design_to_build_holds_at_both_ends_of_the_distribution_and_its_pric
     assert (said.level, said.word) == ("good", "Build")
     assert f"Duration is {100 * (plan.objective / printed.objective - 1):.2g}\u202f% longer" in said.headline
     assert page.kept["evidence"][WORST].joint.upper <= TOLERATED
-
-
-def test_random_systems_follow_the_plan_and_their_torques_are_affine_in_the_payload(page):
-    plan = page.kept["plans"][ONE]
-    family = al.simulate_systems(plan, 100, seed=2)
-    np.testing.assert_allclose(np.ptp(family.systems["q1"], axis=0), 0.0, atol=1e-12)
-    np.testing.assert_allclose(family.systems["q1"][0, [0, -1]], [START[0], TARGET[0]], atol=1e-9)
-    _, tip = TwoLinkArm(payload=1.0).places(np.array(TARGET))
-    np.testing.assert_allclose([family.systems[name][0, -1] for name in ("tip_x", "tip_y")], tip, atol=1e-9)
-    # The torque is affine in the payload, so that all systems lie on a line through the expansion's mean.
-    moments, torques = plan.moments["q1_torque(t)"], family.systems["q1_torque"]
-    (payload,) = family.numbers.values()
-    slope, nominal = np.polyfit(np.asarray(payload) - 1.0, torques, 1)
-    np.testing.assert_allclose(torques, nominal + np.outer(np.asarray(payload) - 1.0, slope), atol=1e-9)
-    np.testing.assert_allclose(nominal, moments.mean, atol=1e-9)
-    np.testing.assert_allclose(0.5 * np.abs(slope), moments.std, atol=1e-9)
 
 
 def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(page, tmp_path):

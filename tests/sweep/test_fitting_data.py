@@ -1,6 +1,6 @@
 """Models fitted to data: the best fit and its spread against SciPy's, and as distributions of the next design."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,24 +79,6 @@ def test_the_spread_of_a_fit_is_ready_for_the_next_design(decay):
 def test_data_that_no_model_has_are_refused(declare, message):
     with pytest.raises(al.ProblemError, match=message):
         declare()
-
-
-class Halving(Decay):
-    events: ClassVar = {"half": al.Event(lambda self, t, z: z.x - 0.5, direction=-1)}
-
-
-@pytest.mark.slow
-def test_data_behind_the_event_that_ends_a_motion_are_refused_by_name():
-    """From 1, a half is reached at `log(2) / rate`: 0.693 s at the rate 1, to both sides of which all data are off."""
-    grid = al.Grid(until="half", at_most=5.0, steps=40)
-
-    def problem(times):
-        data = np.concatenate([np.exp(-times) - 0.1, np.exp(-times) + 0.1])
-        fit = al.residuals("x", np.tile(times, 2), data, std=0.1)
-        return al.Problem(Halving(al.Decision(1.05, 0.3, 3.0), 1.0), grid=grid, minimize=fit)
-
-    with pytest.raises(al.SolveError, match=r"residuals of 'x' compare a datum at 1 s with .* ends at 0.693\d s"):
-        al.solve(problem(np.array([0.2, 0.5, 0.65, 1.0])))
 
 
 def test_each_phase_has_data_at_its_own_times():

@@ -193,21 +193,3 @@ def test_first_and_second_derivatives_by_decided_and_by_traced_shapes_are_those_
             assert np.asarray(first[by_decision_or_traced]) == pytest.approx(expected[0], rel=1e-6, abs=1e-8)
             assert np.asarray(second[by_decision_or_traced]) == pytest.approx(expected[1], rel=1e-5, abs=1e-7)
         assert float(reverse) == pytest.approx(float(np.sum(first[1])), rel=1e-10)
-
-
-@pytest.mark.slow
-def test_moments_are_differentiable_in_every_parameter():
-    def moments(make):
-        return lambda p: jnp.stack([make(p).mean(), make(p).std()])
-
-    by_moments = moments(lambda p: al.Weibull(mean=p[0], std=p[1], lower=p[2]))
-    of_truncated = moments(lambda p: al.TruncatedNormal(p[0], p[1], lower=p[2]))
-    at = np.array([1.0, 0.5, 0.3])
-    same, slopes = compiled(lambda p: (jax.jacfwd(by_moments)(p), jax.jacfwd(of_truncated)(p)))(at)
-    assert np.asarray(same) == pytest.approx(np.eye(2, 3), rel=1e-6, abs=1e-9)
-
-    def exact(p):
-        mean, variance = truncated_normal(*p).stats("mv")
-        return np.array([mean, np.sqrt(variance)])
-
-    assert np.asarray(slopes) == pytest.approx(central_difference(exact, at), rel=1e-6, abs=1e-9)

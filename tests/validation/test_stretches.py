@@ -1,7 +1,4 @@
-"""Evidence in stretches: folded or not, here or elsewhere, at once or after a crash, it is the same."""
-
-from collections.abc import Iterator
-from concurrent.futures import Executor
+"""Evidence in stretches: folded or not, it is the same."""
 
 import numpy as np
 import pytest
@@ -11,8 +8,7 @@ import aleator as al
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.uncertainty import HermiteGerm, LegendreGerm
-from aleator.validation import Evidence, _validate
-from executors import AsProcesses
+from aleator.validation import _validate
 
 SAMPLES = 3000
 
@@ -20,28 +16,6 @@ SAMPLES = 3000
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     return al.solve(decaying_problem())
-
-
-@pytest.fixture
-def folded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All samples are large enough to be folded."""
-    monkeypatch.setattr(_validate, "_MANY", 0)
-
-
-@pytest.fixture
-def travelling() -> Iterator[Executor]:
-    with AsProcesses(2) as executor:
-        yield executor
-
-
-def bits(evidence: Evidence) -> list[bytes]:
-    """All numbers of some evidence."""
-    found = list(evidence.broken.values())
-    for one in evidence.functionals.values():
-        found += [one.mean, one.std, one.std_error, *([] if one.values is None else [one.values])]
-    found += [np.array([one.estimate, one.standard_error]) for one in evidence.statistics.values()]
-    found += [one.values for one in evidence.trajectories]
-    return [np.ascontiguousarray(one).tobytes() for one in found]
 
 
 def test_each_system_has_its_own_place_in_one_stream_of_random_numbers():
@@ -77,12 +51,3 @@ def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeyp
     assert [one.values.tobytes() for one in folded.trajectories] == [
         one.values.tobytes() for one in stored.trajectories
     ]
-
-
-@pytest.mark.slow
-def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
-    solution: Solution, travelling: Executor, folded: None
-):
-    here, there = (al.validate(solution, 1000, batch=100, executor=executor) for executor in (None, travelling))
-    assert there.solution is solution
-    assert bits(here) == bits(there)
