@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import linprog, minimize
 
 import aleator as al
 import zoo
@@ -202,3 +202,26 @@ def test_a_limit_holds_up_to_a_declared_jump_and_no_further_than_it_has_to(end, 
     solution = al.solve(problem)
     right = 1 / (1.5 - np.exp(-end))
     assert right * (1 - 2e-3) < -solution.objective < right * (1 + 1e-5)
+
+
+def test_a_control_that_is_constant_in_each_step_keeps_its_limit_at_both_ends_of_it():
+    problem = al.Problem(
+        Tank(),
+        grid=al.Grid(2.0, 8),
+        inputs={"inflow": al.Control(0.1, -1.0, 1.0, degree=0)},
+        minimize=-al.terminal("level").mean,
+        subject_to=[al.path("pressure").at_most(0.6)],
+    )
+    # The level at the ends of steps, by the inflows, exactly.
+    decay, steps = np.exp(-0.25), np.arange(8)
+    ends = np.tril(decay ** (steps[:, None] - steps)) * (1 - decay)
+    starts = np.vstack([np.zeros(8), ends[:-1]])
+    rows = np.vstack([starts, ends]) + 0.5 * np.vstack([np.eye(8), np.eye(8)])
+
+    def lowest(bound):
+        return linprog(-ends[-1], rows, np.full(16, bound), bounds=(-1.0, 1.0)).fun
+
+    solution = al.solve(problem)
+    assert solution.objective == pytest.approx(lowest(0.6), rel=1e-5)
+    price = (lowest(0.599) - lowest(0.601)) / 2e-3
+    assert solution.constraints[0].shadow_price == pytest.approx(price, rel=1e-3)
