@@ -62,25 +62,6 @@ def test_states_and_algebraic_variables_are_those_of_root_finding_and_integratio
     np.testing.assert_allclose(found["pair"][-1], np.full(2, found["y"][-1] / 1.8), rtol=1e-12)
 
 
-def test_a_system_without_states_solves_its_equations_at_each_instant():
-    class Valve(al.System):
-        states = ()
-        algebraic = ("flow",)
-
-        def rhs(self, t, z):
-            return ()
-
-        def residual(self, t, z, pressure):
-            return (z.flow + z.flow**3 - pressure,)
-
-        def outputs(self, t, z):
-            return {"flow": z.flow}
-
-    grid = al.Grid(1.0, 5)
-    flow = np.asarray(al.simulate(Valve(), grid, {"pressure": al.PowerSeries(start=0.0, end=2.0)})["flow"])
-    np.testing.assert_allclose(flow + flow**3, 2.0 * np.asarray(grid.times), atol=1e-14)
-
-
 class Folded(al.System):
     """`y² = x`, while `x` falls through zero at one second."""
 

@@ -30,7 +30,7 @@ class VanDerPol(al.System):
         return {"x": self.guess}
 
     def outputs(self, t, z):
-        return {"x": z.x, "v": z.v, "divergence": self.mu * (1 - z.x**2)}
+        return {"x": z.x, "v": z.v}
 
 
 CREST = al.Grid(until="crest", at_most=10.0, steps=400, periodic=True)
@@ -52,21 +52,6 @@ def test_the_derivative_of_a_period_is_that_of_central_differences():
     found = jax.jit(jax.vmap(lambda mu: (period(mu), jax.jacfwd(period)(mu))))(np.array([0.999, 1.0, 1.001]))
     values, slopes = map(np.asarray, found)
     assert slopes[1] == pytest.approx((values[2] - values[0]) / 2e-3, rel=1e-5)
-
-
-@pytest.mark.slow
-def test_the_multiplier_of_a_cycle_is_the_exponential_of_its_divergence():
-    # Liouville: the multipliers' product is exp(∫ div dt), and that along the cycle, 1, does not count.
-    asked = Asked(
-        frozenset(),
-        integrands=(lambda now: now["divergence"],),
-        integrated=(frozenset({"divergence"}),),
-        multipliers=True,
-    )
-    grid = al.Grid(until="crest", at_most=10.0, steps=1600, periodic=True)
-    record = jax.jit(lambda mu: simulation_of(VanDerPol(mu), grid, None, None).record(asked)._replace(grid=None))(1.0)
-    multipliers = sorted(np.abs(np.linalg.eigvals(record.monodromy)))
-    assert multipliers == pytest.approx([0.0, np.exp(float(record.integrals[0]))], rel=1e-7, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -97,19 +82,6 @@ class Forced(al.System):
 def test_a_grid_that_is_no_period_of_the_force_does_not_repeat():
     with pytest.warns(al.SimulationWarning, match="a time that does not come again"):
         al.simulate(Forced(0.3), al.Grid(3.5, 20, periodic=True))
-
-
-@pytest.mark.slow
-def test_a_forced_vibration_repeats_with_the_period_of_its_force():
-    # Its complex amplitude is 1 / (k - 1 + i c).
-    found = al.expand(
-        lambda at: al.simulate(Forced(at["c"]), al.Grid(2 * np.pi, 200, periodic=True))["x"][0],
-        {"c": al.Uniform(0.2, half_width=0.1)},
-        al.Expansion(order=5),
-    )
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    values = 1 / (1 + (0.2 + 0.1 * nodes) ** 2)
-    assert float(found.mean) == pytest.approx(weights @ values / 2, rel=1e-7)
 
 
 class Dosed(al.System):

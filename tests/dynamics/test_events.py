@@ -128,35 +128,6 @@ def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends():
     assert float(end(levels)) == pytest.approx(right, abs=1e-5)
 
 
-class Filled(al.System):
-    """A volume, until the inflow reaches a level."""
-
-    states = ("volume",)
-    level: al.Number
-    events: ClassVar = {"full": al.Event(lambda self, t, z, inflow: inflow - self.level, direction=1)}
-
-    def rhs(self, t, z, inflow):
-        return (inflow,)
-
-    def outputs(self, t, z):
-        return {"volume": z.volume}
-
-
-def test_a_grid_ends_where_an_input_alone_says_with_the_derivatives_of_the_closed_form():
-    signal = al.processes.signal(lambda t, p: t**3)
-
-    def right(k):
-        return jnp.stack([k ** (1 / 3), k ** (4 / 3) / 4])
-
-    def simulated(level):
-        grid = al.Grid(until="full", at_most=4.0, steps=7)
-        history = al.simulate(Filled(level), grid, {"inflow": signal})
-        return jnp.stack([history["time"][-1], history["volume"][-1]])
-
-    for ours, exact in agreeing(simulated, right, 1.13, 1):
-        assert ours == pytest.approx(exact, rel=1e-8)
-
-
 def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers():
     refused(Ball(0.5), al.Grid(3.0, 12), "meets 'floor' again and again", "e=0.5", "t = 1.3")
     refused(Shot(angle=-0.7), LANDED, "starts at 'ground'", "angle=-0.7")
@@ -192,10 +163,6 @@ class Returning(Leaving):
     events: ClassVar = {"place": al.Event(Leaving.level, direction=1, jump=Leaving.leapt)}
 
 
-class Passing(Leaving):
-    events: ClassVar = {"place": al.Event(Leaving.level, jump=Leaving.leapt)}
-
-
 PULLED: dict[str, Any] = {"push": al.StepFunction([0.45], [0.0, 0.0])}
 
 
@@ -208,14 +175,6 @@ def test_a_start_at_rest_on_an_event_is_the_same_whichever_way_its_function_is_w
         history = jax.device_get(al.simulate(system(-sign, place), al.Grid(1.0, 10), PULLED))
         assert history["met"][-1] == 0.0
         assert history["x"][-1] == pytest.approx(place * np.cos(1.0), abs=1e-6)
-
-
-@pytest.mark.slow
-def test_a_start_at_rest_on_an_event_of_both_directions_is_told_and_so_is_what_leaves_it_later():
-    refused(Passing(1.0), al.Grid(1.0, 10), "starts at 'place'", "t = 0 s", inputs=PULLED)
-    held: dict[str, Any] = {"push": al.StepFunction([0.45], [0.3, 0.0])}
-    for system, sign in ((Leaving, 1.0), (Returning, -1.0)):
-        refused(system(sign, 0.3), al.Grid(1.0, 10), "starts at 'place'", "from t = 0.45 s", inputs=held)
 
 
 class Emptied(al.System):

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import aleator as al
 from aleator.dynamics import Asked, simulation_of
 from compiling import compiled
-from zoo import Decay, Oscillator, cases, derivative_error
+from zoo import Decay, cases, derivative_error
 
 TIMES = np.linspace(0.0, 5.0, 41)
 PUSH = np.cos(1.7 * TIMES) + 0.3 * np.sin(5.0 * TIMES)
@@ -48,23 +48,6 @@ def scipy_pendulum(times, damping=0.3, start=0.8):
         state = solve_ivp(rhs, (a, b), state, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
         states.append(state)
     return np.array(states)[np.searchsorted(knots, times)].T
-
-
-def test_runge_kutta_converges_with_order_four():
-    # Damped oscillator from rest at 1, no force: closed form.
-    m, c, k, end = 1.0, 0.4, 9.0, 2.0
-    system = Oscillator(m=m, c=c, k=k, x0=1.0)
-    silence = al.Tabulated(np.array([0.0, end]), np.zeros(2))
-    times, damping = np.linspace(0.0, end, 11), c / (2 * m)
-    frequency = np.sqrt(k / m - damping**2)
-    exact = np.exp(-damping * times) * (np.cos(frequency * times) + damping / frequency * np.sin(frequency * times))
-    steps = np.array([40, 160])
-    errors = [
-        np.abs(np.asarray(al.simulate(system, al.Grid(end, int(n)), {"force": silence})["x"])[:: n // 10] - exact).max()
-        for n in steps
-    ]
-    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert slope == pytest.approx(-4.0, abs=0.1)
 
 
 def test_runge_kutta_agrees_with_scipy_on_a_nonlinear_system_with_a_tabulated_input():
@@ -156,39 +139,6 @@ def test_adaptive_methods_have_order_five_with_algebraic_variables_too(integrato
     ends = [np.asarray(al.simulate(Driven(), al.Grid(2.0, int(n)), integrator=loose)["x"])[-1] for n in steps]
     errors = np.abs(np.array(ends) - right)
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] < -4.7
-
-
-class Rod(al.System):
-    """Heat in a rod with cold ends, by a scalar state for each of its places, whose first mode decays exactly."""
-
-    states = tuple(f"u{i}" for i in range(40))
-    conduction: al.Number = 0.1
-
-    def rhs(self, t, z):
-        u = (0.0, *z, 0.0)
-        return tuple(self.conduction * 41**2 * (u[i] - 2 * u[i + 1] + u[i + 2]) for i in range(40))
-
-    def outputs(self, t, z):
-        return {"middle": z.u19}
-
-    def initial(self):
-        return {name: np.sin(np.pi * (i + 1) / 41) for i, name in enumerate(self.states)}
-
-
-@pytest.mark.slow
-def test_many_scalar_states_and_their_derivatives_are_those_of_the_closed_form():
-    grid, stiff = al.Grid(0.5, 5), al.integrators.Rodas5P()
-
-    @compiled
-    def middle(conduction):
-        def end(conduction):
-            return al.simulate(Rod(conduction), grid, integrator=stiff)["middle"][-1]
-
-        return jnp.stack([end(conduction), jax.jacfwd(end)(conduction)])
-
-    rate = 4 * 41**2 * np.sin(np.pi / 82) ** 2 * 0.5
-    right = np.sin(np.pi * 20 / 41) * np.exp(-rate * 0.1) * (-rate) ** np.arange(2)
-    np.testing.assert_allclose(middle(0.1), right, rtol=1e-7)
 
 
 class Chain(al.System):

@@ -1,4 +1,4 @@
-"""Newton's method on small systems with known roots, with none, and with several; its derivatives; units of any size.
+"""Newton's method on small systems with known roots, with none, and with several; its derivatives.
 
 All systems of a size are branches of one program.
 """
@@ -113,42 +113,6 @@ def test_derivatives_of_every_order_follow_from_the_implicit_function_theorem():
     slope = 2.0 ** (-2 / 3) / 3
     exact = [slope, -2 * 2.0 ** (-5 / 3) / 9, 10 * 2.0 ** (-8 / 3) / 27, slope]
     np.testing.assert_allclose(np.array([*map(float, found)]), exact, rtol=1e-12)
-
-
-def random_systems():
-    """`D (A z - b) = 0` of unknowns in other units, `x = E z`, half of which are zero: linear, singular, and curved."""
-    random = np.random.default_rng(11)
-    count, size = 300, 4
-    A = 0.3 * random.normal(size=(count, size, size)) + 2 * np.eye(size)
-    A = A[:, random.permutation(size)]
-    singular, curvature = np.arange(count) % 3 == 1, 0.02 * (np.arange(count) % 3 == 2)
-    A[singular, -1] = np.einsum("ck,cki->ci", random.normal(size=(singular.sum(), size - 1)), A[singular, :-1])
-    z = random.normal(size=(count, size)) * (random.random((count, size)) < 0.5)
-    rows, columns = (10.0 ** random.uniform(-8, 8, (count, size)) for _ in range(2))
-    guesses = (z + 0.2 * random.normal(size=z.shape)) * (random.random(z.shape) < 0.5)
-    bent = z * np.roll(z, 1, axis=1) + np.sin(z) ** 2
-    b = np.einsum("cij,cj->ci", A, z) + curvature[:, None] * np.einsum("cji,cj->ci", A, bent)
-
-    def solve(b, A, rows, columns, guess, curvature):
-        def function(x):
-            z = x / columns
-            return rows * (A @ z - b + curvature * (A.T @ (z * jnp.roll(z, 1) + jnp.sin(z) ** 2)))
-
-        found = newton(function, guess * columns)
-        return found.point / columns, (found.point / columns, found.converged, found.regular)
-
-    found = compiled(jax.vmap(jax.jacfwd(solve, has_aux=True)))(b, A, rows, columns, guesses, curvature)
-    return A, z, singular, curvature, jax.tree.map(np.asarray, found)
-
-
-def test_systems_with_zeros_in_their_solutions_are_solved_or_called_singular_in_any_units():
-    A, z, singular, curvature, (slopes, (points, converged, regular)) = random_systems()
-    assert converged[~singular].all()
-    assert not regular[singular].any()
-    np.testing.assert_allclose(points[~singular], z[~singular], atol=1e-12)
-    linear = ~singular & (curvature == 0)
-    np.testing.assert_allclose(slopes[linear], np.linalg.inv(A[linear]), atol=1e-10)
-    assert np.isfinite(slopes[~singular]).all()
 
 
 # --- Square matrices by few tangents and their band, against dense ones of NumPy --------------------------------------

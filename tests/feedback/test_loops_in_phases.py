@@ -84,31 +84,6 @@ def test_where_an_event_ends_a_phase_the_plan_begins_the_next_from_its_own():
         assert float(found["coast.v"][k, -1]) == pytest.approx(end[1], rel=1e-8)
 
 
-@pytest.mark.slow
-def test_the_multiplier_of_a_led_cycle_is_that_of_the_loop():
-    class Unstable(al.System):
-        states = ("x", "v")
-        c: al.Number
-
-        def rhs(self, t, z, u):
-            return z.v, jnp.cos(t) - self.c * z.v + 0.3 * z.x + u
-
-        def outputs(self, t, z, u):
-            return {"x": z.x}
-
-    problem = al.Problem(
-        Unstable(al.Uniform(0.4, half_width=0.1)),
-        grid=al.Grid(2 * np.pi, 100, periodic=True),
-        inputs=push(0.0),
-        feedback=feedback([al.Decision(1.0, 0.5, 1.5), 0.1]),
-        minimize=al.floquet_multiplier().mean,
-    )
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    loops = (scipy.linalg.expm(2 * np.pi * np.array([[0, 1], [-0.2, -0.5 - 0.1 * node]])) for node in nodes)
-    expected = weights @ [np.abs(np.linalg.eigvals(one)).max() for one in loops] / 2
-    assert optimum(problem).objective == pytest.approx(expected, rel=1e-5)
-
-
 class Lag(al.System):
     states = ("x",)
     a: al.Number

@@ -11,16 +11,16 @@ import scipy
 import aleator as al
 from aleator._core.arrays import jax_array
 from aleator.uncertainty import realise
-from zoo import G, optimum
+from zoo import G, cases, optimum
 
 INTENSITY = 4e-4
 STIFF, DAMPED = 2.0, 0.3
 
 
-def history(problem, germ=()):
-    """The outputs of a realisation at the initial decisions."""
+def history(problem):
+    """The outputs at the initial decisions."""
     start = jax_array(problem.placements.vector("initial"))
-    found = jax.jit(lambda germ: realise(problem.simulation, germ, start).history())(np.asarray(germ, float))
+    found = jax.jit(lambda: realise(problem.simulation, jnp.zeros(0), start).history())()
     return jax.tree.map(np.asarray, found)
 
 
@@ -81,13 +81,11 @@ def test_a_covariance_crosses_a_jump_by_the_saltation_matrix():
 
 
 class Ball(al.System):
-    """A ball in a noisy draught that bounces once."""
+    """A ball in a noisy draught."""
 
     states = ("y", "v")
     e: al.Number = 0.8
-    events: ClassVar = {
-        "floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": -self.e * z.v})
-    }
+    events: ClassVar = {"floor": al.Event(lambda self, t, z: z.y, direction=-1)}
 
     def initial(self):
         return {"y": 1.0}
@@ -99,76 +97,20 @@ class Ball(al.System):
         return {"y": z.y, "v": z.v}
 
 
-DRAUGHT, END, LATER = 0.002, 0.8, 0.3
+DRAUGHT, LATER = 0.002, 0.3
 
 
-def drawn(random, y, v, h):
-    """Where balls are a time later, without a floor: exactly."""
-    one, other = random.normal(size=(2, len(y))) * np.sqrt(DRAUGHT * h)
-    return y + h * v - G * h**2 / 2 + h * (one / 2 + other / np.sqrt(12)), v - G * h + one
-
-
-def bounced(samples=100_000, steps=100):
-    """Places and speeds at `END`, at the bounce, and `LATER` after it, of random simulations by NumPy."""
-    random, (begin, end) = np.random.default_rng(5), (0.435, 0.47)  # between which all balls bounce
-    h, free = (end - begin) / steps, (np.ones(samples), np.zeros(samples))
-    y, v = drawn(random, *free, begin)
-    at_bounce, times = np.full((2, samples), np.nan)
-    for k in range(steps):
-        y1, v1 = drawn(random, y, v, h)
-        now = y1 < 0
-        # Within a step it moves as with a constant acceleration.
-        a, share = (v1[now] - v[now]) / h, np.full(now.sum(), 0.5)
-        for _ in range(6):
-            share = (y[now] - a * h**2 / 2 * share * (1 - share)) / (y[now] - y1[now])
-        speed, rest = v[now] + share * h * a, h * (1 - share)
-        at_bounce[now], times[now] = speed, begin + (k + share) * h
-        y1[now], v1[now] = -0.8 * speed * rest + a * rest**2 / 2, -0.8 * speed + a * rest
-        y, v = y1, v1
-    return drawn(random, y, v, END - end), at_bounce, drawn(random, y, v, times + LATER - end)
-
-
-def agrees(variance, sample):
-    """Within three standard errors of a normal variable's variance."""
-    return abs(float(variance) - np.var(sample)) < 3 * np.var(sample) * np.sqrt(2 / len(sample))
-
-
-@pytest.mark.slow
-def test_a_ball_bounces_in_noise_as_random_simulations_do():
+@pytest.mark.parametrize("way", cases([al.Sequential(), al.Simultaneous()]), ids=lambda way: type(way).__name__)
+def test_a_covariance_crosses_the_end_of_a_phase(way):
     noise = {"w": al.processes.WhiteNoise(DRAUGHT)}
-    minimize, e = al.terminal("y").std, al.Decision(0.8, 0.7, 0.9)
-    whole = history(al.Problem(Ball(e), grid=al.Grid(END, 80), inputs=noise, minimize=minimize))
-    ball = Ball(e)
-    phases = al.Phases(
-        fall=al.Phase(ball, al.Grid(until="floor", at_most=1.0, steps=40), inputs=noise),
-        rise=al.Phase(ball, al.Grid(LATER, 20), inputs=noise),
-        link={"rise": lambda self, t, z: {"v": -self.e * z.v}},
-    )
-    parts = history(al.Problem(phases, minimize=minimize, subject_to=[al.terminal("v", phase="fall").std <= 1.0]))
-    ended, bounce, later = bounced()
-    for name, at_end, after in zip("yv", ended, later, strict=True):
-        assert agrees(whole[f"{name}.variance"][-1], at_end)
-        assert abs(float(whole[name][-1]) - at_end.mean()) < 3 * at_end.std() / np.sqrt(len(at_end))
-        assert agrees(parts[f"rise.{name}.variance"][-1], after)
-    # At its own floor each ball is at the same height.
-    assert agrees(parts["fall.v.variance"][-1], bounce)
-    assert float(parts["fall.y.variance"][-1]) == pytest.approx(0.0, abs=1e-15)
-
-
-@pytest.mark.slow
-def test_collocation_carries_a_covariance_across_the_end_of_a_phase():
-    class Thrown(Ball):
-        events: ClassVar = {"floor": al.Event(lambda self, t, z: z.y, direction=-1)}
-
-    noise = {"w": al.processes.WhiteNoise(DRAUGHT)}
-    ball = Thrown(al.Decision(0.75, 0.7, 0.9))
+    ball = Ball(al.Decision(0.75, 0.7, 0.9))
     phases = al.Phases(
         fall=al.Phase(ball, al.Grid(until="floor", at_most=1.0, steps=10), inputs=noise),
         rise=al.Phase(ball, al.Grid(LATER, 10), inputs=noise),
         link={"rise": lambda self, t, z: {"v": -self.e * z.v}},
     )
     best = al.Problem(phases, minimize=-al.value("fall.e"), subject_to=[al.terminal("v").std <= 0.028])
-    (e,) = optimum(best, transcription=al.Simultaneous()).decisions.values()
+    (e,) = optimum(best, transcription=way).decisions.values()
     # At the floor a speed deviates by that of the ball there less that of its height in the time of the fall.
     speed_variance = DRAUGHT * np.sqrt(2 / G) / 3
     assert e**2 == pytest.approx((0.028**2 - DRAUGHT * LATER) / speed_variance, rel=1e-5)

@@ -68,13 +68,12 @@ class ClosedTree(al.Multibody):
         return (al.joints.Closure("pin", parent="rod", child="slider", joint=joint, position=end, planar=self.planar),)
 
 
-def slider_crank_by_hand(
-    theta, omega, alpha, a: Any = 0.1, b: Any = 0.3, crank_inertia=0.01, rod_mass=0.5, slider_mass=0.7
-):
+def slider_crank_by_hand(theta, omega, alpha):
     """Positions, the driving torque and the forces that bear the slider, by elimination; arrays over instants.
 
     The torque by Newton and Euler on the rod, then on the crank; `wrist` is the force of the slider's pin on the rod.
     """
+    a, b, crank_inertia, rod_mass, slider_mass = 0.1, 0.3, 0.01, 0.5, 0.7
     rod = -np.arcsin(a / b * np.sin(theta))
     rod_rate = -a * np.cos(theta) * omega / (b * np.cos(rod))
     rod_acceleration = (a * np.sin(theta) * omega**2 - a * np.cos(theta) * alpha + b * np.sin(rod) * rod_rate**2) / (

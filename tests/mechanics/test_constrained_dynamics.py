@@ -1,4 +1,4 @@
-"""Constrained mechanics against elimination by hand: positions, torques, multipliers; ropes; closures; a problem."""
+"""Constrained mechanics against elimination by hand: positions, torques, multipliers; ropes; closures."""
 
 from functools import cache
 from typing import ClassVar
@@ -10,14 +10,11 @@ import pytest
 from closed_loops import ClosedTree, SliderCrank, slider_crank_by_hand
 from double_pendulum import simulate
 from mujoco_trees import random_tree
-from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
-from scipy.optimize import minimize
 
 import aleator as al
 from aleator.mechanics._multibody import Multibody
 from compiling import compiled
-from zoo import optimum
 
 TURNS = al.PowerSeries(start=(0.7, 5.0, 1.0), end=(20.0, 1.0))
 GRID = al.Grid(2.0, 200)
@@ -68,23 +65,6 @@ def test_a_driven_tree_that_is_closed_is_that_of_elimination_by_hand_and_its_mul
     # The branch is kept through whole turns: the angle beside the crank goes round as often.
     assert np.abs(np.diff(found["rod"])).max() < 0.3
     assert found["rod"][-1] < -3 * 2 * np.pi + 1
-
-
-@pytest.mark.slow
-def test_a_passive_slider_crank_moves_as_the_reduced_equation_does_and_keeps_constraints():
-    def rates(t, z):
-        # Reduced: the torque by hand is affine in the acceleration, and none is given.
-        still, unit = (slider_crank_by_hand(*(np.array([one]) for one in (z[0], z[1], a)))["torque"][0] for a in (0, 1))
-        return z[1], -still / (unit - still)
-
-    times = np.asarray(al.Grid(2.0, 200).times)
-    expected = solve_ivp(rates, (0.0, 2.0), (0.7, 5.0), t_eval=times, rtol=1e-11, atol=1e-12).y[0]
-    start = {"crank": 0.7, "crank_rate": 5.0}
-    system = al.ForwardDynamics(SliderCrank(), start=start, guess={"slider": 0.4})
-    found = simulate(system, al.Grid(2.0, 400))
-    np.testing.assert_allclose(found["crank"][::2], expected, rtol=0, atol=1e-6)
-    assert found["constraint_drift"].max() < 1e-8
-    assert found["constraint_error"].max() < 1e-13
 
 
 class Rod(al.Lagrangian):
@@ -192,47 +172,3 @@ def test_the_jacobian_of_closures_is_the_derivative_of_what_is_left_of_them():
     np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-12)
     assert len(model.constraints) == len(ours) == 5 + 5 + 6 + 3
     assert ClosedTree().constraints == ("pin_x", "pin_y")
-
-
-# --- A driven loop as a simultaneous program --------------------------------------------------------------------------
-
-
-START, END, RATE, DURATION = 0.3, 2.3, 4.0, 0.5
-FAMILY = al.Uniform(0.5, half_width=0.1)
-"""Of the rod's mass."""
-
-
-@pytest.mark.slow
-def test_the_least_effort_of_a_driven_loop_is_that_of_elimination():
-    """The crank's torque by Newton and Euler along each quintic, and its mean square by Gauss and Legendre's rules."""
-    # A crank that keeps its speed at both ends, with free accelerations there.
-    first, last = (al.Decision(value, -60.0, 60.0) for value in (0.5, -0.5))
-    motion = {"crank": al.PowerSeries(start=(START, RATE, first), end=(END, RATE, last))}
-    problem = al.Problem(
-        al.InverseDynamics(SliderCrank(rod_mass=FAMILY), motion=motion, guess={"rod": -0.1, "slider": 0.4}),
-        grid=al.Grid(DURATION, 40),
-        minimize=al.objectives.effort("crank_torque"),
-        # The torque is affine in the rod's mass, so that order 2 has the mean of its square exactly.
-        expansion=al.Expansion(order=2),
-    )
-    found = optimum(problem, transcription=al.Simultaneous())
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    times, weights = DURATION / 2 * (1 + nodes), DURATION / 2 * weights
-
-    def effort(accelerations):
-        motion = quintic(*accelerations)
-        crank = [motion.deriv(k)(times) if k else motion(times) for k in range(3)]
-        masses = 0.5 + 0.1 / np.sqrt(3) * np.array([-1.0, 1.0])
-        torques = [slider_crank_by_hand(*crank, rod_mass=mass)["torque"] for mass in masses]
-        return np.mean([weights @ torque**2 for torque in torques])
-
-    best = minimize(effort, (0.0, 0.0), tol=1e-10)
-    assert found.objective == pytest.approx(best.fun, rel=1e-6)
-    np.testing.assert_allclose(list(found.decisions.values()), best.x, rtol=1e-3, atol=1e-2)
-
-
-def quintic(first, last):
-    """The crank's angle over time, from the values, rates and accelerations at both ends."""
-    powers = [Polynomial.basis(k) for k in range(6)]
-    rows = [[one.deriv(k)(t) if k else one(t) for one in powers] for t in (0.0, DURATION) for k in range(3)]
-    return Polynomial(np.linalg.solve(rows, [START, RATE, first, END, RATE, last]))

@@ -1,7 +1,5 @@
 from functools import cache
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -137,21 +135,6 @@ def test_rates_of_torques_that_hybrid_dynamics_finds_are_their_derivatives_in_ti
     np.testing.assert_allclose(rate, expected, rtol=0, atol=5e-5 * np.abs(rate).max())
 
 
-@pytest.mark.slow
-def test_known_torques_act_beside_those_that_are_found():
-    known = al.BSpline(random(5, 6))
-    system = al.HybridDynamics(Matrices(), motion={"shoulder": SWING}, torque={"elbow_torque": known}, start=START)
-    found = simulate(system, al.Grid(1.2, 300))
-    force = forces_along(found)
-    given = np.asarray(known.values(np.linspace(0, 1, 301), 1.2))
-    np.testing.assert_allclose(found["elbow_torque"], given, rtol=1e-12)
-    np.testing.assert_allclose(force, np.stack([found["shoulder_torque"], given], 1), rtol=1e-9, atol=1e-9)
-    # The known torque has knots, at which its rate is not smooth.
-    rate, expected = found["shoulder_torque_rate"][2:-2], differences(found["shoulder_torque"], 1.2 / 300)
-    np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-3 * np.abs(rate).max())
-    np.testing.assert_allclose(found["elbow_torque_rate"], known.values(np.linspace(0, 1, 301), 1.2, 1), rtol=1e-12)
-
-
 def test_the_actuation_scheme_is_told_from_the_actuation_map():
     assert al.actuation_of(Pendubot(), jnp.array([0.3, 0.2])) is al.Actuation.UNDER
     maps = {"FULL": np.eye(2), "OVER": Tendons().actuation(None), "PASSIVE": np.zeros((2, 2))}
@@ -159,40 +142,3 @@ def test_the_actuation_scheme_is_told_from_the_actuation_map():
     maps["UNDER_OVER"] = np.array([[1.0, 2.0], [0.0, 0.0]])
     for expected, effect in maps.items():
         assert scheme(np.asarray(effect)) is al.Actuation[expected]
-
-
-def _inverse(numbers):
-    m_2, shape = numbers[0], numbers[1:3]
-    start = (jnp.array([0.2, 0.4]), jnp.zeros(2))
-    motion = al.BSpline(jnp.outer(jnp.array([0.3, -0.5, 0.8]), shape), start=start, end=(jnp.ones(2),), degree=4)
-    return al.InverseDynamics(Matrices(m_2=m_2), motion=motion)
-
-
-ASKED = ("shoulder_torque", "elbow_acceleration", "shoulder_torque_rate")
-
-
-@pytest.mark.slow
-def test_derivatives_of_simulations_agree_with_differences():
-    # By a parameter of the model, the trajectory and the final time at once.
-    def values_at(numbers):
-        grid = eqx.tree_at(lambda one: one.t_final, al.Grid(0.4, 4), numbers[3])
-        found = al.simulate(_inverse(numbers), grid, only=ASKED)
-        return jnp.stack([found[name] for name in ASKED])
-
-    def slope_at(numbers, along):
-        return jax.jvp(values_at, (numbers,), (along,))[1]
-
-    @compiled
-    def all_of(x, d):
-        second = jax.jvp(lambda y: slope_at(y, d), (x,), (d,))[1]
-        return values_at(x), slope_at(x, d), second
-
-    at, h = np.array([0.8, 0.7, -0.4, 0.4]), 1e-5
-    for along in np.eye(4):
-        _, slope, curvature = map(np.asarray, all_of(at, along))
-        ahead, behind = ([np.asarray(part) for part in all_of(at + s * h * along, along)] for s in (1, -1))
-        expected = (ahead[0] - behind[0]) / (2 * h)
-        np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
-        assert np.abs(slope).max() > 1e-3
-        expected = (ahead[1] - behind[1]) / (2 * h)
-        np.testing.assert_allclose(curvature, expected, rtol=1e-5, atol=1e-6 * max(np.abs(expected).max(), 1e-3))

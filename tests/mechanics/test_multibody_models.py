@@ -137,25 +137,6 @@ def test_quaternions_are_of_length_one_in_outputs_and_their_rates_along_the_sphe
     np.testing.assert_allclose(q_ddot[1:-1], (q[2:] - 2 * q[1:-1] + q[:-2]) / h**2, rtol=0, atol=1e-4)
 
 
-@pytest.mark.slow
-def test_velocities_of_a_prescribed_motion_are_those_of_its_rotation():
-    points = 0.4 * np.random.default_rng(4).normal(size=(8, 4)) + np.eye(4)[0]
-    found = simulate(al.InverseDynamics(Quaternion(), motion=al.BSpline(points, degree=5)), al.Grid(2.0, 2000))
-    turned, h = rotations(found), 1e-3
-    spin = np.stack([found[name] for name in BODY], axis=1)
-    # Turns from each instant to both beside it, in its own axes.
-    ahead, behind = ((turned[1:-1].inv() * one).as_rotvec() for one in (turned[2:], turned[:-2]))
-    np.testing.assert_allclose(spin[1:-1], (ahead - behind) / (2 * h), rtol=0, atol=5e-5 * np.abs(spin).max())
-    rate = np.stack([found[f"{name}_rate"] for name in BODY], axis=1)
-    slope = (spin[2:] - spin[:-2]) / (2 * h)
-    np.testing.assert_allclose(rate[1:-1], slope, rtol=0, atol=1e-4 * np.abs(rate).max())
-    torque = np.stack([found[f"couple_{axis}"] for axis in "xyz"], axis=1)
-    np.testing.assert_allclose(torque, INERTIA * rate + np.cross(spin, INERTIA * spin), rtol=1e-9, atol=1e-9)
-    torque_rate = np.stack([found[f"couple_{axis}_rate"] for axis in "xyz"], axis=1)[1:-1]
-    slope = (torque[2:] - torque[:-2]) / (2 * h)
-    np.testing.assert_allclose(torque_rate, slope, rtol=0, atol=1e-3 * np.abs(torque_rate).max())
-
-
 class Top(al.Multibody):
     gravity = (0.0, 0.0, 0.0)
 

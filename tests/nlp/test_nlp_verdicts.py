@@ -6,10 +6,8 @@ import nlp_problems as problems
 import numpy as np
 import pytest
 from nlp_problems import evaluation, program
-from scipy.optimize import nnls
 
 from aleator.nlp import FilterSQP, Slsqp, Status
-from aleator.nlp._program import nonnegative_fit
 
 
 def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
@@ -103,27 +101,3 @@ def test_the_kink_of_a_limit_is_an_optimum_if_its_sides_together_hold_it(make, c
     assert outcome.status is Status.SOLVED
     np.testing.assert_allclose(outcome.point, 1.0, atol=1e-6)
     np.testing.assert_allclose(outcome.multipliers, price, rtol=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["any", "equalities", "almost equal", "of many sizes", "too many"])
-def test_nonnegative_weights_fit_as_well_as_those_of_scipy(kind):
-    generator, some = np.random.default_rng(3), 0
-    for _ in range(40):
-        rows = generator.normal(size=generator.integers([1, 1], [40, 30]))
-        count, size = rows.shape
-        if kind == "equalities":
-            rows = np.concatenate([rows, -rows[: count // 2 + 1]])
-        elif kind == "almost equal":
-            rows = np.repeat(rows, 2, axis=0) + 1e-6 * generator.normal(size=(2 * count, size))
-        elif kind == "of many sizes":
-            rows *= 10.0 ** generator.uniform(-3.0, 3.0, size=(count, 1))
-        elif kind == "too many":
-            rows = rows[:, : size // 4 + 1]
-        target = generator.normal(size=rows.shape[1])
-        target += np.maximum(generator.normal(size=len(rows)), 0.0) @ rows
-        weights = nonnegative_fit(rows, target)
-        assert weights.min() >= 0.0
-        least = nnls(rows.T, target)[1]
-        some += least > 0.1
-        assert np.linalg.norm(weights @ rows - target) <= least + 1e-7 * np.linalg.norm(target)
-    assert some  # have a remainder

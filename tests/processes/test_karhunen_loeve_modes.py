@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import brentq
 from scipy.special import pro_rad1
 
 import aleator as al
@@ -39,48 +38,6 @@ def at(process: al.processes.RandomProcess, times: Any) -> np.ndarray:
         return jax.vmap(realise({"noise": process}, xi, jnp.zeros(0))["noise"])(jnp.asarray(times))
 
     return np.asarray(compiled(jax.vmap(path))(np.eye(len(process.xi)))).T
-
-
-def exponential_frequencies(correlation_time: float, count: int) -> np.ndarray:
-    """Frequencies of the modes of `exp(-|t - s| / correlation_time)` on [-T/2, T/2], even and odd in turn.
-
-    Source: Ghanem and Spanos, Stochastic Finite Elements (1991), equations 2.53 to 2.59.
-    """
-    c, a = 1 / correlation_time, T / 2
-
-    def even(w):
-        return c * np.cos(w * a) - w * np.sin(w * a)
-
-    def odd(w):
-        return w * np.cos(w * a) + c * np.sin(w * a)
-
-    # Each quarter wave holds one frequency: even ones where the tangent is positive, odd ones where it is negative.
-    return np.array(
-        [
-            brentq(odd if k % 2 else even, k * np.pi / T + 1e-12, (k + 1) * np.pi / T, xtol=1e-15, rtol=1e-15)
-            for k in range(count)
-        ]
-    )
-
-
-@pytest.mark.parametrize("correlation_time", [0.05, 20.0])
-def test_eigenvalues_of_the_exponential_covariance_are_the_analytic_ones(correlation_time):
-    process = unit(al.processes.ExponentialCovariance(correlation_time), modes=12)
-    c = 1 / correlation_time
-    expected = 2 * c / (exponential_frequencies(correlation_time, 12) ** 2 + c**2)
-    np.testing.assert_allclose(process.eigenvalues, expected, rtol=1e-8, atol=1e-11)
-
-
-def test_eigenfunctions_of_the_exponential_covariance_are_the_analytic_ones():
-    process = unit(EXPONENTIAL, modes=12)
-    w = exponential_frequencies(0.8, 12)
-    centred = TIMES[:, None] - T / 2
-    sign = np.where(np.arange(12) % 2, -1.0, 1.0)
-    norm = np.sqrt(T / 2 + sign * np.sin(w * T) / (2 * w))
-    wave = np.where(sign > 0, np.cos(w[None, :] * centred), np.sin(w[None, :] * centred)) / norm[None, :]
-    expected = wave * np.sqrt(2 / 0.8 / (w**2 + 1 / 0.8**2))[None, :]
-    # The sign of an eigenfunction is free.
-    np.testing.assert_allclose(np.abs(at(process, TIMES)), np.abs(expected), atol=1e-9)
 
 
 def test_eigenvalues_of_a_band_from_zero_are_those_of_the_prolate_spheroidal_functions():

@@ -1,10 +1,7 @@
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.uncertainty import realise
 
 FRACTIONS = np.linspace(0.0, 1.0, 31)
 
@@ -50,27 +47,6 @@ def test_conditions_at_the_start_alone_make_a_taylor_series():
     constant = al.PowerSeries(start=4.0)
     np.testing.assert_array_equal(constant.values(FRACTIONS, 9.0), np.full(31, 4.0))
     np.testing.assert_array_equal(constant.values(FRACTIONS, 9.0, 1), np.zeros(31))
-
-
-def test_derivatives_by_the_middle_its_time_and_the_duration_agree_with_differences():
-    model = al.PowerSeries(
-        start=START, end=END, middle=al.Decision(0.5, -2.0, 2.0), middle_time=al.Decision(0.4, 0.1, 0.9)
-    )
-
-    @jax.jit
-    def values(decisions, duration):
-        series = realise(model, jnp.zeros(0), decisions)
-        return jnp.stack([series.values(FRACTIONS, duration, order) for order in range(3)])
-
-    at = (np.array([0.8, 0.35]), np.array(1.4))
-    for along in ((np.array([1.0, 0.0]), 0.0), (np.array([0.0, 1.0]), 0.0), (np.zeros(2), 1.0)):
-        along = tuple(map(np.asarray, along))
-        found = np.asarray(jax.jvp(values, at, along)[1])
-        h = 1e-5
-        moved = ((at[0] + s * h * along[0], at[1] + s * h * along[1]) for s in (1.0, -1.0))
-        ahead, behind = (np.asarray(values(*one)) for one in moved)
-        np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-5)
-        assert np.abs(found).max() > 0.1
 
 
 @pytest.mark.parametrize(

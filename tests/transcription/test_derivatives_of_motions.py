@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core.arrays import jax_array
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import _instantaneous as instantaneous
 from aleator.transcription.sequential._affine import affine_features, anchored
@@ -124,35 +123,6 @@ OTHER = {
     "a function within": lambda g, x: halved(jnp.abs(g[0] - x[0])),
     "a power": lambda g, x: (g[0] + x[0]) ** 2,
 }
-
-
-def test_what_is_affine_in_features_of_the_germ_follows_from_a_few_points():
-    rng, moved = np.random.default_rng(0), jax_array([1.1, 2.0])
-    points, elsewhere = rng.uniform(-1, 1, (12, 2)), rng.uniform(0.5, 2, 2)
-    told = {}
-
-    @compiled
-    def each(germs, other):
-        def features(name, germ):
-            found, told[name] = affine_features(lambda *at: [AFFINE[name](*at)], germ, moved)
-            return found
-
-        return {
-            name: (
-                jax.vmap(lambda g, name=name: features(name, g))(germs),
-                jax.vmap(lambda g, rule=rule: rule(g, other))(germs),
-            )
-            for name, rule in AFFINE.items()
-        }
-
-    for name, (features, values) in each(points, elsewhere).items():
-        assert told[name] == (True,)
-        anchors = anchored(points, np.asarray(features), (True,))
-        assert len(anchors.points) < 8
-        weights = np.asarray(anchors.weights)
-        np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-12)
-        chosen = [int(np.flatnonzero((points == one).all(axis=1))[0]) for one in np.asarray(anchors.points)]
-        np.testing.assert_allclose(weights @ np.asarray(values)[chosen], values, rtol=1e-9, err_msg=name)
 
 
 def test_what_is_not_affine_is_never_taken_to_be_and_outputs_are_told_apart():

@@ -7,7 +7,6 @@ import pytest
 
 import aleator as al
 from aleator.solution import Deviation, GridError
-from zoo import Decay
 
 # --- Steps that are advised ----------------------------------------------------------------------------------------
 
@@ -97,21 +96,6 @@ def test_a_limit_that_breaks_on_a_finer_grid_makes_the_design_none():
     assert not solution.ok
     assert "'place'" in solution.certificate.grid_error.broken
     assert "'place'" in solution.why()
-
-
-@pytest.mark.slow
-def test_loose_tolerances_of_adaptive_integrators_are_seen_and_tightened():
-    problem = al.Problem(
-        Decay(5.0, al.Decision(2.0, 1.0, 3.0)),
-        grid=al.Grid(1.0, 4),
-        integrator=al.integrators.Tsit5(rtol=1e-3, atol=1e-4),
-        minimize=al.terminal("x").mean,
-    )
-    solution = al.solve(problem, throw=False, accuracy=1e-6)
-    assert not solution.ok
-    assert "steps and smaller tolerances of the integrator" in str(solution.certificate.grid_error)
-    fine = al.solve(problem, refine=True, accuracy=1e-6)
-    assert fine.objective == pytest.approx(np.exp(-5.0), rel=2e-6)
 
 
 class Swung(al.System):

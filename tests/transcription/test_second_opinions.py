@@ -5,10 +5,8 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 
 import aleator as al
-from aleator.certification._fresh import fresh_systems
 from zoo import LOSS, ONE_STEP, algebraic, gain_problem
 
 BOUND = 2.0
@@ -84,24 +82,6 @@ def test_the_correction_is_that_of_the_closed_form_and_every_limit_is_judged():
     every = " ".join(solution.certificate.opinion.contradictions)
     assert "‖μ[y(t_f)], Skew[y(t_f)]‖" in every
     assert "∫μ[y(t)] dt" in every
-
-
-@pytest.mark.parametrize(
-    "germs", [(al.Uniform(0.5, half_width=0.5),), (al.Normal(0.0, 1.0), al.Uniform(0.0, half_width=1.0))]
-)
-def test_weights_of_fresh_systems_give_the_moments_of_all(germs):
-    basis, draws = [one.germ() for one in germs], 200
-    several = [fresh_systems(basis, 32, draw) for draw in range(draws)]
-    weights, first = (
-        np.array(part) for part in ([one.weights for one in several], [one.points[:, 0] for one in several])
-    )
-    assert weights.max() <= 2.0
-    for power, exact in ((0, 1.0), (1, 0.0), (2, 1.0 if len(germs) == 2 else 1 / 3)):
-        means = np.mean(weights * first**power, axis=1)
-        assert abs(means.mean() - exact) < 4 * means.std() / np.sqrt(draws)
-    # Each of them has systems at which random ones hardly ever arrive.
-    beyond = scipy.stats.norm.ppf(0.999) if len(germs) == 2 else 0.998
-    assert all((one.points[:, 0] > beyond).any() and (one.points[:, 0] < -beyond).any() for one in several)
 
 
 @algebraic

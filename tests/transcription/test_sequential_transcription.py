@@ -98,31 +98,6 @@ def test_a_problem_whose_numbers_were_changed_in_place_is_transcribed_anew():
     assert al.solve(problem).objective == pytest.approx(1.5)
 
 
-class Cell(al.System):
-    """A charge in coulomb that grows by some electrons more than two."""
-
-    states = ("q",)
-    electrons: al.Number
-
-    def rhs(self, t, z):
-        return (1.602e-19 * (self.electrons - 2.0),)
-
-    def outputs(self, t, z):
-        return {"q": z.q}
-
-
-@pytest.mark.slow
-def test_a_limit_of_zero_on_what_may_be_rounding_and_follows_the_decisions_is_no_solution():
-    problem = al.Problem(
-        Cell(al.Decision(0.5, 0.0, 10.0)),
-        grid=al.Grid(1.0, 2),
-        minimize=-1 * al.value("electrons"),
-        subject_to=[al.path("q").at_most(0.0)],
-    )
-    with pytest.raises(al.SolveError, match=r"'q' .* is broken by 1.3e-18.* let the output be in a smaller unit"):
-        al.solve(problem)
-
-
 @algebraic
 def binomial(a, b):
     """What is left of (a + b)² - a² - 2 a b - b² is rounding."""

@@ -115,19 +115,6 @@ def test_values_without_bound_have_no_worst_case_and_what_is_certain_is_its_own(
     assert solution.certificate.worst_case is None
 
 
-@pytest.mark.slow
-def test_the_worst_of_many_variables_is_found_at_its_corner():
-    @algebraic
-    def system(gain, parts):
-        total = sum(sign * part for sign, part in zip([1.0, -1.0] * 6, parts, strict=True))
-        return {"y": gain * (total + 0.02 * total**2)}
-
-    model = system(al.Decision(0.01, 0.001, 5.0), [al.Uniform(0.0, half_width=0.5) for _ in range(12)])
-    first_order = al.Expansion(order=1)
-    solution = al.solve(al.Problem(model, minimize=-1.0 * al.value("gain"), subject_to=[WORST], expansion=first_order))
-    assert solution.decisions["gain"] == pytest.approx(1 / (6 + 0.02 * 36), rel=1e-6)
-
-
 # --- Over time -------------------------------------------------------------------------------------------------------
 
 

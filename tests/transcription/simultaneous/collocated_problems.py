@@ -1,4 +1,4 @@
-"""Problems to be transcribed both ways, of three small models: with all that a problem may be made of."""
+"""Problems to be transcribed both ways, of small models: with all that a problem may be made of."""
 
 from typing import Any
 
@@ -60,21 +60,6 @@ def robustly_fed(steps: int) -> al.Problem:
         subject_to=[al.path("hydrogen").at_most(0.18, sigmas=2.0), al.terminal("acid").mean >= 0.45],
         expansion=al.Expansion(order=2),
     )
-
-
-RESTS = [al.terminal("angle").mean.equals(1.0), al.terminal("rate").mean.equals(0.0)]
-
-
-def turned(intervals: int = 20, **options: Any) -> al.Problem:
-    """Turn a pendulum by one radian and leave it still, on average, whatever its length is."""
-    defaults: dict[str, Any] = {
-        "grid": al.Grid(1.0, intervals),
-        "inputs": {"torque": al.BSpline(al.Decision(np.full(6, 4.0), -30.0, 30.0), degree=3)},
-        "minimize": al.integral("effort").mean,
-        "subject_to": [*RESTS, al.path("angle").within(-0.5, 1.075, sigmas=2.0)],
-        "expansion": al.Expansion(order=2),
-    }
-    return al.Problem(Swing(length=al.Uniform(1.0, half_width=0.05)), **(defaults | options))
 
 
 def free_torque(**options: Any) -> al.BSpline:

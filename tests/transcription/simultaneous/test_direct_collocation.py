@@ -1,8 +1,7 @@
-"""Problems solved by direct collocation: known optima, and the answers of the other transcription."""
+"""Problems solved by direct collocation: a known optimum, rules and ties."""
 
 import numpy as np
 import pytest
-from collocated_problems import turned
 from scipy.integrate import solve_ivp
 from scipy.sparse.linalg import spsolve
 
@@ -27,33 +26,6 @@ def test_an_uncertain_mass_spreads_the_end_by_its_own_spread():
     x = solution.mesh_states["x"]
     np.testing.assert_allclose(x * masses[:, None], np.broadcast_to(x[0] * masses[0], x.shape), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(solution.mesh_states.times[[0, -1]], [0.0, 1.0])
-
-
-EFFORT = al.integral("effort").mean
-PROBLEMS = {
-    "a path with a probability": {
-        "subject_to": [al.terminal("angle").mean >= 1.0, al.path("angle").at_most(1.06, probability=0.9)]
-    },
-    "a spread over time": {"minimize": EFFORT + 1e3 * al.time_integral(al.path("angle").variance)},
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_both_transcriptions_give_the_same_answer(name):
-    problem = turned(60, **PROBLEMS[name])
-    usual, other = (
-        al.solve(problem, transcription=one, accuracy=1e-2, between=1) for one in (al.Sequential(), al.Simultaneous())
-    )
-    assert other.ok
-    assert other.objective == pytest.approx(usual.objective, rel=5e-5)
-    np.testing.assert_allclose(other.vector, usual.vector, rtol=1e-2, atol=1e-2)
-    for one, same in zip(other.constraints, usual.constraints, strict=True):
-        assert (one.name, one.text, np.shape(one.values)) == (same.name, same.text, np.shape(same.values))
-        assert np.sum(one.multipliers) == pytest.approx(np.sum(same.multipliers), rel=1e-2, abs=1e-2)
-    assert other.moments.keys() == usual.moments.keys()
-    for text, one in usual.statistics.items():
-        np.testing.assert_allclose(other.statistics[text], one, rtol=1e-3, atol=1e-3)
 
 
 # --- Schemes ---------------------------------------------------------------------------------------------------------

@@ -61,21 +61,6 @@ def stiffest(steps, most=2.0, kink=0.0, tall=0.0):
     return al.Problem(spring, grid=al.Grid(5.0, steps), minimize=-al.value("stiffness") + 0.0 * al.terminal("w").mean)
 
 
-@pytest.mark.slow
-def test_an_oscillation_is_followed_by_few_intervals_of_high_order():
-    scheme, asked = al.schemes.Radau(3), 1e-9
-    raised = al.solve(stiffest(5), transcription=al.Simultaneous(scheme, error=asked, most_stages=12))
-    stages = [one.scheme.stages for one in raised.meshes]
-    assert stages[0] == scheme.stages < stages[-1] <= 12
-    assert stages == sorted(stages)
-    assert raised.mesh.is_met
-    assert f"where {asked:.2g} is asked" in str(raised)
-    np.testing.assert_allclose(
-        raised.mesh_states["x"][0], np.cos(np.sqrt(2.0) * raised.mesh_states.times), atol=20 * asked
-    )
-    assert len(raised.mesh_states.times) < 100
-
-
 def test_intervals_are_divided_at_a_kink_and_nowhere_else():
     """Between kinks the push is a polynomial, which every scheme follows exactly."""
     kink, end = 0.73, 5.0
