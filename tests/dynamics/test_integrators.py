@@ -242,8 +242,10 @@ def test_derivatives_by_many_decisions_are_those_of_the_pendulum_alone():
         return [[*one.history.values(), *one.integrals] for one in (few, all_of_them)]
 
     every = jax.vmap(motion, (None, 0))
-    points, dampings = jnp.linspace(0.5, -0.3, 12), jnp.array([0.2, 0.4])
-    for few, all_of_them in every(points, dampings), jax.jacfwd(every)(points, dampings):
+    values, slopes = jax.jit(lambda *at: (every(*at), jax.jacfwd(every)(*at)))(
+        jnp.linspace(0.5, -0.3, 12), jnp.array([0.2, 0.4])
+    )
+    for few, all_of_them in values, slopes:
         assert len(few) == 3
         for one, other in zip(few, all_of_them, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-13)
