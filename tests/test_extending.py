@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from jax.scipy.special import ndtr
 import aleator as al
 from aleator import extending as ext
 from zoo import Decay
+
+arcsine = jax.jit(lambda normal: jnp.sin(jnp.pi * (ndtr(normal) - 0.5)))
 
 
 class Arcsine(ext.AbstractDistribution):
@@ -23,7 +26,7 @@ class Arcsine(ext.AbstractDistribution):
         return ext.JacobiGerm(0.5, 0.5)
 
     def from_normal(self, normal, shape):
-        return jnp.sin(jnp.pi * (ndtr(normal) - 0.5))
+        return arcsine(normal)
 
     def mean(self):
         return self.canonical().location

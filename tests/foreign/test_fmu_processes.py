@@ -70,6 +70,7 @@ def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit(rods):
     assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
 
 
+@pytest.mark.slow
 def test_a_run_is_sent_to_other_processes_as_its_file(rods, tmp_path):
     path = tmp_path / "sent.fmu"
     shutil.copy(rods(3), path)

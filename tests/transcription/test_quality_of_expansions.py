@@ -119,6 +119,7 @@ def test_the_figure_of_derivatives_is_the_error_of_their_own_expansion():
         assert exact[name] <= error <= 4 * exact[name]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_an_optimum_that_follows_from_derivatives_that_are_not_resolved_is_no_answer():
     system = algebraic(lambda x: {"y": (x - 0.45) ** 2})(al.Triangular(0.0, al.Decision(0.3, 0.01, 0.99), 1.0))

@@ -33,6 +33,7 @@ def above(least, system, grid, most, *more):
     return al.Problem(system, grid=grid, inputs={"u": control}, minimize=al.integral("cost").mean, subject_to=limits)
 
 
+@pytest.mark.slow
 def test_no_limit_is_evaded_between_the_points_of_a_finer_mesh():
     problem = above(1.0, Pushed(1.2, 0.0, 20.0, 1e-7), al.Grid(1.0, 20), 500.0)
     solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3), error=1e-3))
