@@ -58,6 +58,7 @@ def test_the_quadrature_is_exact_up_to_the_order_and_rates_that_are_polynomials_
 # --- Algebraic variables ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ties_determine_the_hydrogen_of_the_exact_solution():
     """By Newton's method on the ties of a program: what they determine for given decisions."""
     problem = al.Problem(
