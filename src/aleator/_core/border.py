@@ -185,17 +185,26 @@ def silent(task: str, done: int, total: int) -> None:
     del task, done, total
 
 
+def takes(function: Any, *arguments: Any) -> bool:
+    """Whether something can be called with such arguments, as far as it tells: what is not written in Python need not
+    have a signature.
+    """
+    if not callable(function):
+        return False
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError:
+        return False
+    except ValueError:
+        pass
+    return True
+
+
 def check_progress(who: str, progress: Any) -> None:
     """Refuse what cannot be called with the task, the steps done and their total."""
-    expected = "a function of three arguments, the task, the steps done and their total"
-    if not callable(progress):
+    if not takes(progress, "", 0, 1):
+        expected = "a function of three arguments, the task, the steps done and their total"
         raise refusal(f"{who}: progress", expected, progress)
-    try:
-        inspect.signature(progress).bind("", 0, 1)
-    except TypeError:
-        raise refusal(f"{who}: progress", expected, progress) from None
-    except ValueError:  # what is not written in Python need not have a signature
-        return
 
 
 def content_of(path: str | Path) -> bytes:

@@ -4,7 +4,6 @@ Trajectories are functions over a duration that is set elsewhere, with their der
 """
 
 import abc
-import inspect
 from collections.abc import Callable, Iterable
 from types import SimpleNamespace
 from typing import Any, ClassVar, final
@@ -17,7 +16,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
-from aleator._core.border import refusal
+from aleator._core.border import refusal, takes
 from aleator._core.equations import as_time
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_traced, lowest, realised_shape, stored_numbers
@@ -80,13 +79,7 @@ class Parametrised(AbstractSignal):
     p: dict[str, Any]
 
     def __init__(self, function: Callable[[Any, Any], Any], parameters: dict[str, Any]):
-        try:
-            takes_both = callable(function) and bool(inspect.signature(function).bind("t", "p"))
-        except TypeError:
-            takes_both = False
-        except ValueError:  # some functions of libraries do not tell their arguments
-            takes_both = True
-        if not takes_both:
+        if not takes(function, "t", "p"):
             raise ProblemError(
                 "signal: expected a function of time and parameters, such as lambda t, p: p.rate * t; "
                 f"received {type(function).__name__} {function!r}."
