@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from itertools import count, islice
 from pathlib import Path
 
@@ -14,10 +15,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import aleator as al
 from aleator._core.compilation import Compiled
-from aleator._core.parallel import CORES, beside, dropped_on_failure, here, in_order, over_devices
+from aleator._core.parallel import (
+    CORES,
+    beside,
+    dropped_on_failure,
+    here,
+    in_order,
+    one_thread_of_blas,
+    over_devices,
+)
 from aleator.transcription.sequential import EVALUATE
 from zoo import MASS, SPREAD, Bar, bar_problem
 
@@ -113,6 +123,20 @@ class Watched(Bar):
     def outputs(self):
         RUN_BY.add(threading.get_ident())
         return super().outputs()
+
+
+def test_matrices_are_multiplied_by_one_thread_until_the_last_solve_that_overlaps_with_others_is_over():
+    def threads_of_blas():
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    with threadpool_limits(2, "blas"):
+        first, last = ExitStack(), ExitStack()
+        first.enter_context(one_thread_of_blas())
+        last.enter_context(one_thread_of_blas())
+        first.close()
+        assert threads_of_blas() == {1}
+        last.close()
+        assert threads_of_blas() == {2}
 
 
 def test_the_code_of_a_model_is_run_by_the_thread_that_solves_and_no_other():

@@ -122,6 +122,33 @@ def undisturbed(function: Callable[[], _Result]) -> _Result:
     return _UNDISTURBED.submit(function).result()
 
 
+_BLAS_LOCK = threading.Lock()
+_blas_users = 0
+_blas_limits: Any = None
+
+
+@contextmanager
+def one_thread_of_blas() -> Iterator[None]:
+    """Let NumPy multiply matrices by one thread meanwhile: several wait for one another, and for those that work beside
+    them, longer than they multiply, and digits depend on their number.
+
+    The limit is one of the process: the last who leaves it restores what the first has met.
+    """
+    global _blas_users, _blas_limits
+    from threadpoolctl import threadpool_limits
+
+    with _BLAS_LOCK:
+        _blas_limits = _blas_limits if _blas_users else threadpool_limits(1, "blas")
+        _blas_users += 1
+    try:
+        yield
+    finally:
+        with _BLAS_LOCK:
+            _blas_users -= 1
+            if not _blas_users:
+                _blas_limits.restore_original_limits()
+
+
 def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
     """The results of `work` for each item, in order, computed by as many threads as allowed.
 

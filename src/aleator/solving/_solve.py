@@ -13,7 +13,7 @@ from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError, SimulationError, SolveError
 from aleator._core.executors import check_executor
 from aleator._core.journalled import journalled
-from aleator._core.parallel import dropped_on_failure, heeding
+from aleator._core.parallel import dropped_on_failure, heeding, one_thread_of_blas
 from aleator.certification import Held, doubts, refinement, unconverged, with_opinion
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
@@ -207,7 +207,7 @@ def _solved_at_once(call: Call) -> Solution:
     first, before = _first(call, transcription), Compiled.seconds
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
-    with heeding() as heed, dropped_on_failure():
+    with heeding() as heed, dropped_on_failure(), one_thread_of_blas():
         settings = call.between, call.accuracy, call.executor
         stages = Stages(transcription, call.chosen_solver, *settings, heed, keeps_grid=call.refine is False)
         at_means = None
