@@ -305,11 +305,13 @@ class AbstractFormulation(System):
     def diagnose(self, grid: Grid) -> str:
         system, grid = known_arrays((self, grid))
         if system.model.computes_by_numpy and not system.changes:
+            model = system.model.prepared()
+            object.__setattr__(system, "model", model)
             seen = known_arrays(_examined(system, grid, ""))
         else:
             seen = known_arrays(_EXAMINED(*numbers_to_arrays((system, grid)), own_code(system)))
+            model = known_arrays(at(system.model, *seen.row))
         times = np.asarray(grid.times)
-        model = known_arrays(at(system.model, *seen.row))
 
         def speeds() -> Array:
             """The velocities at the start as they are given."""
@@ -318,7 +320,7 @@ class AbstractFormulation(System):
             given = Prescribed(position, velocity, acceleration, jnp.zeros(0))
             return system._near(model.prepared(), given)[1]
 
-        return diagnosis(model, self.parts, self._stated(), times, seen, speeds, self.unrealisable())
+        return diagnosis(model, self.parts, system._stated(), times, seen, speeds, system.unrealisable())
 
     @property
     def changes(self) -> bool:
