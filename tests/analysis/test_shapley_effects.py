@@ -58,6 +58,8 @@ def test_sobol_indices_of_correlated_inputs_are_refused_with_what_to_take():
     for ask in (expanded.sobol, expanded.total_sobol):
         with pytest.raises(al.ProblemError, match=r"correlated group.*shapley"):
             ask("a")
+    with pytest.raises(al.ProblemError, match=r"correlated group.*shapley"):
+        al.references.sobol_indices(linear, correlated("bca"), 64)
     assert "(b~c~a) 100 %" in str(expanded)
     with pytest.raises(al.ProblemError, match="no uncertain input 'd'"):
         expanded.shapley("d")

@@ -41,6 +41,33 @@ def test_half_widths_of_a_linear_stack_are_those_of_lagrange():
     assert lines[1].split()[:3] == ["housing", "±", "0.1"]
 
 
+class Sum(al.AlgebraicSystem):
+    """Two parts under a factor, and a third one."""
+
+    a: al.Number
+    b: al.Number
+    c: al.Number
+    factor: al.Number
+
+    def outputs(self):
+        return {"length": self.factor * (self.a + self.b) + self.c}
+
+
+def test_correlations_other_distributions_and_decided_numbers_of_a_stack_count():
+    parts = {name: al.Toleranced(middle, tolerance=0.1) for name, middle in (("a", 2.0), ("b", 3.0))}
+    correlated = al.correlated(parts, {("a", "b"): 0.8})
+    model = Sum(**correlated, c=al.Normal(0.0, 0.01), factor=al.Decision(1.3, 0.5, 2.0))
+    found = al.allocate(model, {"a": (0.0, 0.1), "b": (0.0, 0.1)}, "length", lower=4.8, upper=5.2)
+    # Both limits are active where the factor centres the length: 9 var = 2 (1 + 0.8) w² + (3 0.01)², and 2 w + 3 0.01.
+    for tolerances, width in ((found.statistical, np.sqrt((0.2**2 - 0.03**2) / 3.6)), (found.worst_case, 0.085)):
+        assert tolerances.decisions["factor"] == pytest.approx(1.0, abs=1e-6)
+        for name in parts:
+            assert tolerances.zones[name] == pytest.approx((width, width), rel=1e-5)
+    assert found.statistical.analysis.cpk == pytest.approx(1.0, rel=1e-5)
+    assert found.worst_case.analysis.worst_case == pytest.approx((4.8, 5.2), abs=1e-5)
+    assert ["factor", "1.3", "1", "1"] in [line.split() for line in str(found).splitlines()]
+
+
 @pytest.mark.slow
 def test_one_sided_zones_grow_from_their_nominal_side_and_others_about_their_middle():
     one_sided = stack(plate=al.toleranced("13.0 +0.1/-0", cp=1.33), shim=al.toleranced("0.6 -0.01/-0.05"))

@@ -13,3 +13,4 @@ from aleator.analysis._tolerance import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis._tolerance import Zone as Zone
 from aleator.analysis._tolerance import check_limits as check_limits
 from aleator.analysis._tolerance import tolerance_analysis as tolerance_analysis
+from aleator.analysis._tolerance import zones_of as zones_of

@@ -35,14 +35,14 @@ from aleator.statistics import (
     Kurtosis,
     Probability,
     Skewness,
+    Sobol,
     Std,
     a_statistic,
     cdf,
     lines_through,
     pdf,
-    refuse_correlated,
 )
-from aleator.uncertainty import AbstractDistribution, AbstractGerm
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, refuse_correlated
 
 # Germ values of unbounded distributions are sought between these probability levels, and further up, where a level is
 # 1 but for rounding, to this value.
@@ -93,8 +93,8 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
     @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Any other statistic of each output. Raises `ProblemError` for Sobol indices of correlated inputs."""
-        refuse_correlated(self.distributions, a_statistic(kind))
-        constants = prepared(kind.preparation, self.basis)
+        refuse_correlated(self.distributions, kind.variables if isinstance(kind, Sobol) else ())
+        constants = prepared(a_statistic(kind).preparation, self.basis)
         outputs, structure = jax.tree.flatten(self.coefficients)
         collocation, samples = self._known()
         values = []

@@ -218,8 +218,8 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
     if bad:
         sentences.append(
             f"The expansion of order {expanded.basis.order} does not resolve {', '.join(bad)}: errors above "
-            f"{expanded.tolerance:g} make means and spreads unreliable. Raise the order, shorten the time, or expand "
-            "by al.MultiElement()."
+            f"{expanded.tolerance:g} make means and spreads unreliable. Raise the order, shorten a simulation, or "
+            "take al.expand with al.MultiElement()."
         )
     if open_ended:
         sentences.append(

@@ -41,7 +41,7 @@ from aleator.dynamics import (
 )
 from aleator.ensemble import corners_of
 from aleator.expansion import Expansion, MultiElement
-from aleator.statistics import Probability, Sobol, refuse_correlated
+from aleator.statistics import Probability, Sobol
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
     AbstractGerm,
@@ -50,6 +50,7 @@ from aleator.uncertainty import (
     named_numbers,
     placements,
     realise,
+    refuse_correlated,
     refuse_intervals,
     refuse_nonpositive,
     tables_of,
@@ -222,8 +223,9 @@ def _check_germs(problem: AbstractProblem) -> None:
     places = problem.placements
     known = list(places.germ_names)
     for one in statistics_in(problem.expressions):
-        refuse_correlated(places.distributions, one.kind)
-        for name in one.kind.variables if isinstance(one.kind, Sobol) else ():
+        variables = one.kind.variables if isinstance(one.kind, Sobol) else ()
+        refuse_correlated(places.distributions, variables)
+        for name in variables:
             if name not in known:
                 raise ProblemError(unknown("germ variable", name, known))
 

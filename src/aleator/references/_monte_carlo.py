@@ -37,6 +37,7 @@ from aleator.ensemble import (
     uncertain_places,
 )
 from aleator.references._estimate import Estimate, RandomSample, estimate, group_count
+from aleator.uncertainty import refuse_correlated
 
 # Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
 _DIGITS = 30
@@ -315,6 +316,7 @@ def sobol_indices(
     check_progress("sobol_indices", progress)
     ensemble = ensemble_of("sobol_indices", function, model, traced=traced)
     names = list(ensemble.places.germs)
+    refuse_correlated(ensemble.places.distributions, names)
     refuse_large_sample("sobol_indices", (len(names) + 2) * samples, len(names))
     both = scrambled_nets("sobol_indices", 2 * len(names), samples, replicates, seed)
     levels = _exchanged(both[:, : len(names)], both[:, len(names) :])

@@ -14,7 +14,6 @@ from aleator.statistics._shape import CornishFisher as CornishFisher
 from aleator.statistics._shape import Kurtosis as Kurtosis
 from aleator.statistics._shape import Skewness as Skewness
 from aleator.statistics._sobol import Sobol as Sobol
-from aleator.statistics._sobol import refuse_correlated as refuse_correlated
 from aleator.statistics._statistic import AbstractStatistic as AbstractStatistic
 from aleator.statistics._statistic import CoefficientProduct as CoefficientProduct
 from aleator.statistics._statistic import Constants as Constants

@@ -7,7 +7,7 @@ variables. Its variance is a sum over all pairs of elements of integrals over th
 factor by variable and are exact by Gauss quadrature.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import ClassVar, NamedTuple, NoReturn, TypeAlias, final
@@ -24,7 +24,6 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, restricted
 from aleator.statistics._statistic import AbstractStatistic, varies
-from aleator.uncertainty import AbstractDistribution
 
 # For memory: the product of the variables' contributions to pairs of terms, and one factor of it.
 _MATRICES = 2
@@ -140,28 +139,6 @@ def share(coefficients: Float[Array, "terms *shape"], selected: Selection) -> Fl
     else:
         part = library.tensordot(selected[1:], squares, axes=1) / library.where(spreads, total, 1.0)
     return jax_array(library.where(spreads, part, 0.0))
-
-
-def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: AbstractStatistic) -> None:
-    """Raise `ProblemError` for a Sobol index of a correlated input.
-
-    It would be that of the germ variables, which depend on the order in which the group was declared; the variance of
-    correlated inputs has no such decomposition.
-    """
-    named = kind.variables if isinstance(kind, Sobol) else ()
-    groups = {
-        name: distribution.dependence.group
-        for place, distribution in distributions.items()
-        if distribution.dependence is not None
-        for name in (place, *distribution.germ_names(place))
-    }
-    for name in named:
-        if name in groups:
-            raise ProblemError(
-                f"Sobol index: '{name}' belongs to the correlated group '{groups[name]}', whose variance has no parts "
-                "that belong to one input alone. Take Shapley effects, which share it out among inputs: "
-                "al.expand(...).shapley(name)."
-            )
 
 
 def place_of(basis: AbstractBasis, name: str) -> int:

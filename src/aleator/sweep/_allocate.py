@@ -9,13 +9,21 @@ from jaxtyping import Float
 
 from aleator._core.border import one_of, positive, real_array, refusal
 from aleator._core.leaves import Printed
-from aleator.analysis import ToleranceAnalysis, check_limits, tolerance_analysis
+from aleator.analysis import ToleranceAnalysis, check_limits, tolerance_analysis, zones_of
 from aleator.design import Expression, Problem, value, value_at
 from aleator.design import output as output_of
 from aleator.dynamics import AlgebraicSystem
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.uncertainty import AbstractDistribution, Decision, Toleranced, placements, with_distributions
+from aleator.uncertainty import (
+    AbstractDistribution,
+    Decision,
+    Toleranced,
+    Uniform,
+    placements,
+    with_decisions,
+    with_distributions,
+)
 
 # Zones are sought from a twentieth of today's width to twenty times this.
 _RANGE = 20.0
@@ -27,10 +35,12 @@ _SIDES = "tolerance", "plus", "minus"
 class Tolerances(Printed):
     """The tolerances of one way to allocate: `zones` (minus, plus) by dimension, their `cost`, and what they achieve.
 
-    `solution` is that of the problem behind them; None for those that the stack has today.
+    - `decisions`: the other numbers that the stack leaves to be decided, such as a nominal value;
+    - `solution`: that of the problem behind them; None for those that the stack has today.
     """
 
     zones: Mapping[str, tuple[float, float]]
+    decisions: Mapping[str, Float[np.ndarray, "..."]]
     cost: float
     analysis: ToleranceAnalysis
     solution: Solution | None = None
@@ -45,7 +55,7 @@ class Allocation(Printed):
     """Tolerances of a stack: those of `today`, the cheapest for a capability, and the cheapest for every assembly.
 
     - `statistical`: the mean of the output keeps `3 cpk` standard deviations from its limits;
-    - `worst_case`: every assembly of parts within their zones keeps them;
+    - `worst_case`: every assembly of parts within their zones keeps them, see `tolerance_analysis`;
     - `failed`: why one of them is missing, by its name.
 
     `print(allocation)` shows them side by side.
@@ -66,6 +76,8 @@ class Allocation(Printed):
         known = {name: tolerances for name, tolerances in columns.items() if tolerances is not None}
         rows = [[f"{self.output}, {self.lower:g} to {self.upper:g}", *known]]
         rows += [[name, *(_text(each.zones[name]) for each in known.values())] for name in self.today.zones]
+        for name in self.today.decisions:
+            rows.append([name, *(", ".join(f"{x:.4g}" for x in each.decisions[name].flat) for each in known.values())])
         of_analysis = {
             "Cp": lambda one: f"{one.cp:.3g}",
             "Cpk": lambda one: f"{one.cpk:.3g}",
@@ -98,7 +110,8 @@ def allocate(
         )
         print(al.allocate(stack, {"housing": (1.0, 0.05), "plate": (0.5, 0.02)}, "gap", lower=0.0, upper=0.6))
 
-    - `stack`: an `Assembly` or another `AlgebraicSystem` whose dimensions are `Toleranced`, as they are today;
+    - `stack`: an `Assembly` or another `AlgebraicSystem` whose dimensions are `Toleranced`, as they are today. Its
+      decisions are chosen with the tolerances;
     - `costs`: by dimension, `(fixed, slope)`: a part costs `fixed + slope / half-width of its zone`. Dimensions without
       a cost keep their tolerances. The middle of a zone stays where it is; of a zone on one side of its nominal value,
       such as +0.1/-0, the limit near this stays. So does the capability of each process (`cp`, `cpk`);
@@ -136,18 +149,30 @@ def allocate(
 
     def tolerances(vector: Float[np.ndarray, " n"], solution: Solution | None = None) -> Tolerances:
         at = costed.placements.named(vector)
-        made = with_distributions(decided, lambda name, leaf: leaf.decided(lambda part, _: float(at[f"{name}.{part}"])))
+        made = with_decisions(decided, lambda name, _: at[name])
         zones = {name: _zone(placements(made).distributions[name], nominal) for name, nominal in nominals.items()}
+        others = {name: np.asarray(number) for name, number in at.items() if name.rpartition(".")[0] not in dimensions}
         analysis = tolerance_analysis(made, output, lower=lower, upper=upper)
-        return Tolerances(zones, value_at(cost, costed, vector), analysis, solution)
+        return Tolerances(zones, others, value_at(cost, costed, vector), analysis, solution)
 
     answers = dict[str, Tolerances | None]()
     failed = dict[str, str]()
-    margins: dict[str, dict[str, Any]] = {"statistical": {"sigmas": 3 * cpk}, "worst case": {"worst_case": True}}
-    for kind, margin in margins.items():
+    # Within their zones parts are of any sizes, correlated or not.
+    bounds = zones_of(placements(stack), {})
+
+    def in_zone(name: str, leaf: AbstractDistribution) -> AbstractDistribution:
+        is_toleranced = isinstance(leaf, Toleranced)
+        return leaf.with_fields(dependence=None) if is_toleranced else Uniform.bounds(*bounds[name])
+
+    in_zones = with_distributions(decided, in_zone)
+    kinds: dict[str, tuple[AlgebraicSystem, dict[str, Any]]] = {
+        "statistical": (decided, {"sigmas": 3 * cpk}),
+        "worst case": (in_zones, {"worst_case": True}),
+    }
+    for kind, (model, margin) in kinds.items():
         sides = [functional.at_most(upper, **margin)] if np.isfinite(upper) else []
         sides += [functional.at_least(lower, **margin)] if np.isfinite(lower) else []
-        solution = solve(Problem(decided, minimize=cost, subject_to=sides), throw=False)
+        solution = solve(Problem(model, minimize=cost, subject_to=sides), throw=False)
         if solution.ok:
             answers[kind] = tolerances(solution.vector, solution)
         else:
@@ -170,7 +195,7 @@ def _decided(dimension: Toleranced) -> Toleranced:
         chosen = {"nominal": dimension.parameters["nominal"], **sides}
         moved = "plus" if still == ["minus"] else "minus"
         chosen[moved] = _sought(width, -sides[still[0]])
-    return Toleranced(**chosen, **capability, towards=dimension.towards)
+    return dimension.with_fields(parameters=Toleranced(**chosen, **capability).parameters)
 
 
 def _sought(width: float, beyond: float = 0.0) -> Decision:

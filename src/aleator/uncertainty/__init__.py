@@ -6,6 +6,7 @@ from aleator.uncertainty._bounded_families import TruncatedNormal as TruncatedNo
 from aleator.uncertainty._bounded_families import TruncatedNormalGerm as TruncatedNormalGerm
 from aleator.uncertainty._copula import correlated as correlated
 from aleator.uncertainty._copula import pearson as pearson
+from aleator.uncertainty._copula import refuse_correlated as refuse_correlated
 from aleator.uncertainty._data_families import Density as Density
 from aleator.uncertainty._data_families import DensityGerm as DensityGerm
 from aleator.uncertainty._data_families import Sample as Sample

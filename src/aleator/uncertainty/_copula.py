@@ -8,7 +8,7 @@ and Dutfoy (2009) on the copula.
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import jax
@@ -70,6 +70,27 @@ def correlated(
         member: distribution.with_fields(dependence=Dependence(group, members, index, factor))
         for index, (member, distribution) in enumerate(distributions.items())
     }
+
+
+def refuse_correlated(distributions: Mapping[str, AbstractDistribution], names: Iterable[str]) -> None:
+    """Raise `ProblemError` for a Sobol index of correlated inputs, or of their germ variables.
+
+    It would be that of the germ variables, which depend on the order in which the group was declared; the variance of
+    correlated inputs has no such decomposition.
+    """
+    groups = {
+        name: distribution.dependence.group
+        for place, distribution in distributions.items()
+        if distribution.dependence is not None
+        for name in (place, *distribution.germ_names(place))
+    }
+    for name in names:
+        if name in groups:
+            raise ProblemError(
+                f"Sobol index: '{name}' belongs to the correlated group '{groups[name]}', whose variance has no parts "
+                "that belong to one input alone. Take Shapley effects, which share it out among inputs: "
+                "al.expand(...).shapley(name)."
+            )
 
 
 def _check_member(member: str, distribution: Any) -> None:
