@@ -208,6 +208,8 @@ class Compiled:
     """
 
     seconds: ClassVar[float] = 0.0
+    _timing: ClassVar[int] = 0
+    _since: ClassVar[float] = 0.0
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, function: Callable[..., Any], *, use: Use | Callable[..., Use] = Use.LOOPS):
@@ -233,13 +235,17 @@ class Compiled:
     @classmethod
     @contextmanager
     def timed(cls) -> Iterator[None]:
-        """Put the time of a block on record."""
-        started = time.perf_counter()
+        """Put the time of a block on record; that of several threads at once counts once."""
+        with cls._lock:
+            cls._since = cls._since if cls._timing else time.perf_counter()
+            cls._timing += 1
         try:
             yield
         finally:
             with cls._lock:
-                cls.seconds += time.perf_counter() - started
+                cls._timing -= 1
+                now = time.perf_counter()
+                cls.seconds, cls._since = cls.seconds + now - cls._since, now
 
 
 class Passed(NamedTuple):

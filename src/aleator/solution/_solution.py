@@ -300,8 +300,9 @@ class Solution(Drawn):
     def signal(self, name: str) -> AbstractSignal:
         """An input, or the mean of an output, as a function of time: an input of another simulation, or a command.
 
-        `float(solution.signal("force")(0.5))` is the force at 0.5 s. Uncertain numbers are at their means. Raises
-        `ProblemError` for a name of neither.
+        `float(solution.signal("force")(0.5))` is the force at 0.5 s. Uncertain numbers are at their means. Before and
+        after the motion, or its phase, it has the value at its start and at its end. Raises `ProblemError` for a name
+        of neither.
         """
         return _motions().signal_of(self, name)
 

@@ -160,8 +160,8 @@ def signal_of(solution: Solution, name: str) -> AbstractSignal:
         return certain.inputs[name].over(grid.t_start, grid.t_final)
     outputs = solution.outputs
     if name not in outputs or outputs.times is None:
-        over_time = [] if outputs.times is None else list(outputs)
-        raise refusal("solution.signal: name", f"one of the inputs and outputs {[*problem.inputs, *over_time]}", name)
+        known = dict.fromkeys([*problem.inputs, *([] if outputs.times is None else outputs)])
+        raise refusal("solution.signal: name", f"one of the inputs and outputs {list(known)}", name)
     times = np.asarray(outputs.times_of(name))
     begun = 0.0 if isinstance(problem.grid, Grid) else times[0] - problem.grid.of(name).t_start
     return Tabulated(times - begun, outputs.moments[name].mean)

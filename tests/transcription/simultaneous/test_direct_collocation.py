@@ -84,3 +84,39 @@ def test_ties_determine_the_hydrogen_of_the_exact_solution():
 
     exact = solve_ivp(rate, (0.0, 2.0), [0.2], method="DOP853", rtol=1e-13, atol=1e-14).y[0, -1]
     assert transcribed.at(point).samples[0][0] == pytest.approx(h(exact), abs=1e-4)
+
+
+class Pushed(al.System):
+    """A block of uncertain mass with friction."""
+
+    states = ("x", "v")
+    mass: al.Number
+    x_0: al.Number = 0.0
+
+    def initial(self):
+        return {"x": self.x_0, "v": 0.0}
+
+    def rhs(self, t, z, force):
+        return z.v, (force - 0.3 * z.v) / self.mass
+
+    def outputs(self, t, z, force):
+        return {"x": z.x, "v": z.v}
+
+
+@pytest.mark.parametrize("x_0", [0.0, pytest.param(al.Normal(0.0, 0.02), marks=pytest.mark.slow)])
+def test_a_spread_from_a_certain_start_on_has_no_kink_there(x_0):
+    """At rest all realisations are alike, so that the derivative of σ has no value, whatever is decided."""
+    problem = al.Problem(
+        Pushed(al.Uniform(1.0, half_width=0.2), x_0),
+        grid=al.Grid(al.Decision(3.0, 1.0, 10.0), 10),
+        inputs={"force": al.Control(0.5, -2.0, 2.0, degree=1)},
+        minimize=al.objectives.final_time() + 0.2 * al.time_integral(al.path("x").std),
+        subject_to=[
+            al.terminal("x").mean.equals(1.0),
+            al.terminal("v").mean.equals(0.0),
+            al.path("v").at_most(0.9, sigmas=1),
+        ],
+        expansion=al.Expansion(order=2),
+    )
+    collocated, shot = (al.solve(problem, transcription=one, between=1) for one in (al.Simultaneous(), al.Sequential()))
+    assert collocated.objective == pytest.approx(shot.objective, rel=1e-5)

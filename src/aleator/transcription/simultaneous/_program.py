@@ -1,9 +1,4 @@
-"""The sparse program that the blocks of a simultaneous transcription make, as solvers see it.
-
-By the typical magnitudes of its variables a solver scales, and violations are judged: so they are those of the point
-itself, not of a start that may be wild. What is zero there has the magnitude that typical changes of what it is tied to
-would give it.
-"""
+"""The sparse program that the blocks of a simultaneous transcription make, as solvers see it."""
 
 import math
 from collections.abc import Sequence
@@ -11,9 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import final
 
-import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from aleator._core.dependence import Dependence
 from aleator.design import Problem, Value
@@ -27,21 +21,15 @@ from aleator.transcription.simultaneous._assembly import (
     Jacobian,
     Pattern,
     Rows,
-    Ties,
     rows_of,
     without_affine,
 )
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, RATES, families, number_of, objective_of
 from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._magnitudes import scales, tie_sizes
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
-# A magnitude below this is rounding.
-_NOTHING = 1e-12
-# Along a chain of so many states, each the rate of the next, forces reach a state that is zero.
-_CHAIN = 4
-# For such a part of the time: all the way, a push of typical magnitude would turn and carry most things beyond reason.
-_PUSHED = 0.1
 # The families that grow with the mesh.
 _MOVING = RATES, EQUATIONS
 
@@ -275,80 +263,18 @@ class Assembled:
         return Hessian(evaluate, self.curvature.sparsity)
 
 
-def scales(
-    layout: Layout,
-    ties: Ties,
-    point: Float[np.ndarray, " variables"],
-    evaluation: Evaluation,
-    decisions: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " variables"]:
-    """A typical magnitude of each variable: the largest of its kind, or what it would be if all that it is tied to
-    changed by a typical magnitude.
-
-    - `decisions`: typical magnitudes of the decisions.
-    """
-    numbers, slopes = layout.numbers, abs(evaluation.jacobian[ties.rows])
-    scale = _by_kind(layout, np.abs(point))
-    scale[numbers.decisions] = decisions
-    signals, *later = layout.stages
-    scale = _reached(layout, ties, slopes, scale, signals)
-    for phase, own in zip(layout.phases, numbers.phases, strict=True):
-        intervals = _PUSHED * len(phase.mesh.lengths)
-        for _ in range(_CHAIN):
-            still = own.states[scale[own.states] <= _NOTHING]
-            if not still.size:
-                break
-            scale = _reached(layout, ties, intervals * slopes, scale, still)
-        still = own.integrals[scale[own.integrals] <= _NOTHING]
-        scale = _reached(layout, ties, intervals * slopes, scale, still)
-    for some in later:
-        scale = _reached(layout, ties, slopes, scale, some)
-    return np.where(scale > _NOTHING, scale, 1.0)
-
-
-def _tie_sizes(
-    layout: Layout, ties: Ties, evaluation: Evaluation, scale: Float[np.ndarray, " variables"]
-) -> Float[np.ndarray, " ties"]:
-    """A typical magnitude of each tie: that of the variable that stands in it; of an equation of algebraic variables,
-    or of an event, which has a unit of its own, what it would change by if all of these, or the states, changed by
-    theirs.
-    """
-    sizes = scale[ties.variables]
-    for phase, own in zip(layout.phases, layout.numbers.phases, strict=True):
-        ended = own.duration[:, : int(phase.pointwise.is_open)]
-        for solved, moved in ((own.algebraic, own.algebraic), (ended, own.states)):
-            equations, moving = np.isin(ties.variables, solved), np.zeros_like(scale)
-            moving[moved] = scale[moved]
-            change = abs(evaluation.jacobian[ties.rows[equations]]) @ moving
-            sizes[equations] = np.where(np.isfinite(change) & (change > 0), change, 1.0)
-    return sizes
-
-
-def _reached(
-    layout: Layout, ties: Ties, slopes: np.ndarray, scale: Float[np.ndarray, " variables"], which: np.ndarray
-) -> Float[np.ndarray, " variables"]:
-    """Magnitudes, those of some variables being no less than what they are tied to may change them by."""
-    change, these = slopes @ scale, np.isin(ties.variables, which)
-    own = ties.variables[these]
-    larger = scale.copy()
-    larger[own] = np.maximum(scale[own], np.nan_to_num(change[these] - scale[own], posinf=0.0))
-    return np.where(np.isin(np.arange(layout.count), which), _by_kind(layout, larger), scale)
-
-
-def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
-    """The largest of each kind of variables: one state at all points, one output at all instants."""
-
-    def largest(part: np.ndarray, keep: int) -> np.ndarray:
-        over = tuple(range(part.ndim - keep))
-        finite = np.where(np.isfinite(part), part, 0.0)
-        return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
-
-    result, values = np.zeros(layout.count), layout.view(sizes)
-    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=[]))
-    each = each._replace(coefficients=[largest(one, 0) for one in values.coefficients])
-    for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
-        result[where] = scale
-    return result
+def _determined(
+    assembled: Assembled, start: Float[np.ndarray, " variables"], is_fixed: Bool[np.ndarray, " variables"]
+) -> tuple[Bool[np.ndarray, " ties"], Float[np.ndarray, " variables"]]:
+    """Whether a variable follows from fixed ones alone, by its tie and others; and a point where these hold."""
+    ties, point, is_fixed = assembled.rows.ties, start.copy(), is_fixed.copy()
+    entries = assembled.jacobian.sparsity.astype(bool)[ties.rows].astype(int)
+    own = np.ravel(assembled.rows.linear[ties.rows, ties.variables]) == 1
+    while (following := own & (entries @ ~is_fixed == 1) & ~is_fixed[ties.variables]).any():
+        which = ties.variables[following]
+        point[which] -= np.nan_to_num(assembled.constraints(point)[ties.rows[following]])
+        is_fixed[which] = True
+    return is_fixed[ties.variables], point
 
 
 def program_of(
@@ -370,7 +296,7 @@ def program_of(
         scale = scales(layout, rows.ties, point, evaluation, typical)
         values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
         sizes = Sizing(problem.constraints, rows.own, scale, away, spreads).each(point, values, slopes)
-        return scale, sizes, np.append(spread(rows.own, sizes), _tie_sizes(layout, rows.ties, evaluation, scale))
+        return scale, sizes, np.append(spread(rows.own, sizes), tie_sizes(layout, rows.ties, evaluation, scale))
 
     scale, sizes, every = judged(start, evaluation)
     lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
@@ -380,13 +306,18 @@ def program_of(
         if phase.pointwise.is_open:
             lowest[own.duration], highest[own.duration] = 0.0, float(phase.pointwise.grid.duration)
     own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios, sizes)
-    tied = np.zeros(len(rows.ties.variables))
+    # A spread of zero whatever is decided, such as that of a certain start, has no derivative: it is no variable.
+    is_certain, certain = _determined(assembled, start, lowest == highest)
+    is_certain &= np.isin(rows.ties.variables, [i for one in numbers.coefficients for i in one[1:].flat])
+    which, tied = rows.ties.variables[is_certain], np.where(is_certain, np.inf, 0.0)
+    start = start.copy()
+    start[which] = lowest[which] = highest[which] = certain[which]
     program = NonlinearProgram(
         evaluate=assembled,
         start=start,
         lower=lowest,
         upper=highest,
-        constraint_lower=np.append(own_lower, tied),
+        constraint_lower=np.append(own_lower, -tied),
         constraint_upper=np.append(own_upper, tied),
         constraint_scale=every,
         variable_scale=scale,

@@ -36,9 +36,10 @@ from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._costates import adjoint
 from aleator.transcription.simultaneous._evaluations import first_crossing
 from aleator.transcription.simultaneous._layout import Layout, PhaseLayout, Plan
+from aleator.transcription.simultaneous._magnitudes import scales
 from aleator.transcription.simultaneous._mesh import Mesh, followed, joined, whole_parts
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._program import Assembled, program_of, scales
+from aleator.transcription.simultaneous._program import Assembled, program_of
 from aleator.transcription.simultaneous._refinement import (
     Drift,
     Goal,
