@@ -156,6 +156,12 @@ class NonlinearProgram:
                 received = " and ".join(str(one[first]) for one in values)
                 raise ProblemError(f"Expected {expected}. Received {received} at index {first}.")
 
+    def is_least(self, objective: float, tolerance: float) -> bool:
+        """Whether an objective is at its lower bound, as far as can be told beside its fall from the start."""
+        if not np.isfinite(self.least):
+            return False
+        return objective - self.least <= tolerance * (self.evaluate(self.start).objective - self.least)
+
     @property
     def limits(self) -> Sides:
         """The bounds of the constraints."""

@@ -112,10 +112,11 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
         return there.objective + float(outcome.multipliers @ (there.constraints - here.constraints))
 
     def lower_of(others: list[tuple[np.ndarray, Evaluation]]) -> list[np.ndarray]:
-        least = here.objective - _LOWER * abs(here.objective)
+        least = -np.inf if is_least else here.objective - _LOWER * abs(here.objective)
         return [point for point, there in others if height(there) < least]
 
-    idle, blind, lower = [], [], _descended(program, outcome, _unmoved(program, outcome.point - begun, still))
+    idle, blind, is_least = [], [], program.is_least(here.objective, _LOWER)
+    lower = [] if is_least else _descended(program, outcome, _unmoved(program, outcome.point - begun, still))
     places = np.flatnonzero(still & flat)[:_MOST]
     for i in places.tolist():
         others = _finite(program, _across(program, outcome.point, i))

@@ -329,15 +329,9 @@ def portfolio(
         random=sum(i >= known for i in every),
         solved=sum(i >= known for i in solved),
         searched=searched,
-        proven=best.ok and _is_least(program, best.objective, local.tolerance),
+        proven=best.ok and program.is_least(best.objective, local.tolerance),
         interrupted=run.interrupted,
     )
-
-
-def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> bool:
-    """Whether an objective is at its lower bound, as far as can be told beside its fall from the start."""
-    above = program.evaluate(program.start).objective - program.least
-    return bool(np.isfinite(program.least)) and bool(objective - program.least <= tolerance * above)
 
 
 def _certified(

@@ -120,3 +120,47 @@ def test_a_spread_from_a_certain_start_on_has_no_kink_there(x_0):
     )
     collocated, shot = (al.solve(problem, transcription=one, between=1) for one in (al.Simultaneous(), al.Sequential()))
     assert collocated.objective == pytest.approx(shot.objective, rel=1e-5)
+
+
+class Relaxing(al.System):
+    """Van der Pol's oscillator, stiff."""
+
+    states = ("x", "v")
+    mu: al.Number
+
+    def initial(self):
+        return {"x": 2.0}
+
+    def rhs(self, t, z):
+        return z.v, self.mu * (1 - z.x**2) * z.v - z.x
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+@pytest.mark.slow
+def test_nothing_is_sought_beside_an_objective_at_its_least():
+    """States far from any motion of a stiff system lead to ever larger ones: the search went on for minutes."""
+    target, half_width = 1.4, 1.0
+    problem = al.Problem(
+        Relaxing(al.Uniform(al.Decision(50.0, 20.0, 100.0), half_width=half_width)),
+        grid=al.Grid(30.0, 40),
+        minimize=(al.terminal("x").mean - target) ** 2,
+        integrator=al.integrators.Rodas5P(),
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3)))
+    assert solution.effort.evaluations < 30
+
+    def end(mu):
+        return solve_ivp(
+            lambda t, z: (z[1], mu * (1 - z[0] ** 2) * z[1] - z[0]),
+            (0.0, 30.0),
+            (2.0, 0.0),
+            method="Radau",
+            rtol=1e-9,
+            atol=1e-11,
+        ).y[0, -1]
+
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    mean = weights @ [end(solution.decisions["mu.mean"] + half_width * node) for node in nodes] / 2
+    assert mean == pytest.approx(target, abs=1e-5)
