@@ -3,7 +3,7 @@
 import threading
 import warnings
 import weakref
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -62,11 +62,18 @@ class Library:
 
         Raises `SimulationError` if the run fails, or an output is not finite.
         """
-        driven, values = self._loaded.references(list(inputs)), np.array([*inputs.values()]).reshape(-1, len(times)).T
-        first = dict(zip(inputs, values[0].tolist(), strict=True))
+        driven, read = self._loaded.references(list(inputs)), self._loaded.references(outputs)
+        first = {name: float(values[0]) for name, values in inputs.items()}
         with self._started({**start, **first}, float(times[0]), tolerance) as instance:
-            given = instance, times, driven, values, self._loaded.references(outputs)
-            rows = integrated(*given, tolerance) if self._loaded.is_exchange else stepped(*given)
+
+            def drive(t: float) -> None:
+                instance.set(driven, np.array([np.interp(t, times, values) for values in inputs.values()]))
+
+            if self._loaded.is_exchange:
+                course = integrated(instance, times, drive, tolerance, is_driven=bool(driven))
+            else:
+                course = stepped(instance, times, drive)
+            rows = np.stack([instance.get(read) for _ in course])
         if not np.isfinite(rows).all():
             instant, output = np.argwhere(~np.isfinite(rows))[0]
             what = f"output '{outputs[output]}' is {rows[instant, output]:g} at t = {times[instant]:.6g} s"
@@ -166,43 +173,38 @@ def _each(
 
 
 def stepped(
-    instance: Instance,
-    times: Float[np.ndarray, " instants"],
-    driven: Sequence[int],
-    inputs: Float[np.ndarray, "instants inputs"],
-    outputs: Sequence[int],
-) -> Float[np.ndarray, "instants outputs"]:
-    """The outputs of co-simulation at all instants. During a step, each input has its value in the middle of it."""
-    rows = [instance.get(outputs)]
-    for index, (t, after) in enumerate(pairwise(times.tolist())):
-        instance.set(driven, (inputs[index] + inputs[index + 1]) / 2)
+    instance: Instance, times: Float[np.ndarray, " instants"], drive: Callable[[float], None]
+) -> Iterator[None]:
+    """Take a co-simulation to each instant. During a step, each input has its value in the middle of it."""
+    yield
+    for t, after in pairwise(times.tolist()):
+        drive((t + after) / 2)
         instance.step(t, after - t)
-        rows.append(instance.get(outputs))
-    return np.stack(rows)
+        yield
 
 
 def integrated(
     instance: Instance,
     times: Float[np.ndarray, " instants"],
-    driven: Sequence[int],
-    inputs: Float[np.ndarray, "instants inputs"],
-    outputs: Sequence[int],
+    drive: Callable[[float], None],
     tolerance: float,
-) -> Float[np.ndarray, "instants outputs"]:
-    """The outputs of model exchange at all instants, with inputs that are straight in between; before an event where
-    one falls on an instant.
+    *,
+    is_driven: bool,
+) -> Iterator[None]:
+    """Take a model exchange to each instant, before an event that falls on it. Inputs are straight between instants.
 
     By LSODA (Petzold 1983), which chooses between methods for stiff equations and others. FMPy's own loop is not used:
-    it goes on with wrong rates where the FMU fails.
+    its BDF is ten times less accurate at a tolerance, it loses what an FMU says of its failure, and where an FMU ends
+    the simulation it returns what there is.
     """
-    n, (t, end) = instance.loaded.states, times[[0, -1]].tolist()
+    n, t, waiting = instance.loaded.states, float(times[0]), deque(times[1:].tolist())
 
     def state() -> np.ndarray:
         return instance.state() if n else np.zeros(1)  # integrators need one number at least
 
     def go(t: float, y: np.ndarray) -> None:
         instance.at(float(t), y[:n])
-        instance.set(driven, np.array([np.interp(t, times, column) for column in inputs.T]))
+        drive(t)
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
         go(t, y)
@@ -216,17 +218,16 @@ def integrated(
         return instance.indicators()
 
     go(t, state())
-    rows = [instance.get(outputs)]
+    yield
     # Events are looked for between the integrator's steps.
     longest = float(np.min(np.diff(times))) if instance.loaded.indicators else np.inf
-    while t < end:
+    while waiting:
         if t >= instance.next_event:
             instance.handle_event()
         y, is_event = state(), False
         before = indicators(t, y)
         # The rates have kinks where the slopes of inputs change.
-        kink = times[times > t][0] if driven else np.inf
-        bound = min(end, instance.next_event, float(kink))
+        bound = min(waiting[0 if is_driven else -1], instance.next_event)
         atol: Any = tolerance * instance.nominals() if n else 1.0
         solver: Any = LSODA(rates, t, y, bound, rtol=tolerance, atol=atol, max_step=min(longest, bound - t))
         while solver.status == "running" and not is_event:
@@ -247,16 +248,14 @@ def integrated(
                     is_late = _has_changed(before, indicators(middle, curve(middle)))
                     low, t = (low, middle) if is_late else (middle, t)
                 y = curve(t)
-            for instant in times[len(rows) :]:
-                if instant > t:
-                    break
+            while waiting and waiting[0] <= t:
+                instant = waiting.popleft()
                 go(instant, y if instant == t else curve(instant))
-                rows.append(instance.get(outputs))
+                yield
             go(t, y)
             is_event, before = instance.asks_for_event() or is_event, after
         if is_event:
             instance.handle_event()
-    return np.stack(rows)
 
 
 def _has_changed(before: np.ndarray, after: np.ndarray) -> bool:
