@@ -118,7 +118,7 @@ class Library:
             instance.set(driven, point[n:r])
             return np.concatenate([instance.rates(), instance.get(read)])
 
-        return _each(values, points, self._loaded.states + len(read))
+        return each(values, points, (self._loaded.states + len(read),))
 
     def initial(
         self, names: Sequence[str], points: Float[np.ndarray, "points m"]
@@ -129,7 +129,7 @@ class Library:
             with self._started(dict(zip(names, point[1:].tolist(), strict=True)), 0.0, _TOLERANCE) as instance:
                 return instance.state()
 
-        return _each(state, points, self._loaded.states)
+        return each(state, points, (self._loaded.states,))
 
     @contextmanager
     def _started(self, values: Mapping[str, Any], t: float, tolerance: float) -> Iterator[Instance]:
@@ -159,11 +159,11 @@ def _free_all(instances: OrderedDict[tuple[Any, ...], Instance]) -> None:
         instances.popitem()[1].free()
 
 
-def _each(
-    function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], size: int
-) -> tuple[Float[np.ndarray, "points values"], str]:
-    """`size` values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
-    values, reason = np.full((len(points), size), np.nan), ""
+def each(
+    function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], shape: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "points ..."], str]:
+    """Values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
+    values, reason = np.full((len(points), *shape), np.nan), ""
     for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
         try:
             values[index] = function(points[index])
