@@ -27,7 +27,7 @@ _FINE = 1e-13
 
 
 @final
-class Library:
+class Library(Loaded):
     """The FMU `name` in an unpacked `folder`, loaded; variables are told by their names.
 
     `settings`: values of variables of any type, for all runs. Raises `ProblemError` if it cannot be loaded.
@@ -35,8 +35,8 @@ class Library:
 
     def __init__(self, name: str, folder: str, is_exchange: bool, settings: Mapping[str, Any]):
         with _LOCK:
-            self._loaded, self._settings = Loaded(name, folder, is_exchange), settings
-        self._instances = OrderedDict[tuple[Any, ...], Instance]()
+            super().__init__(name, folder, is_exchange)
+        self._settings, self._instances = settings, OrderedDict[tuple[Any, ...], Instance]()
         weakref.finalize(self, _free_all, self._instances)
 
     def ask(self, method: str, *arguments: Any, where: str = "") -> Any:
@@ -44,11 +44,6 @@ class Library:
         del where
         with _LOCK:
             return getattr(self, method)(*arguments)
-
-    @property
-    def is_broken(self) -> bool:
-        """Whether it must not be used again in this process, after what FMI calls a fatal error."""
-        return self._loaded.is_broken
 
     def run(
         self,
@@ -62,14 +57,14 @@ class Library:
 
         Raises `SimulationError` if the run fails, or an output is not finite.
         """
-        driven, read = self._loaded.references(list(inputs)), self._loaded.references(outputs)
+        driven, read = self.references(list(inputs)), self.references(outputs)
         first = {name: float(values[0]) for name, values in inputs.items()}
         with self._started({**start, **first}, float(times[0]), tolerance) as instance:
 
             def drive(t: float) -> None:
                 instance.set(driven, np.array([np.interp(t, times, values) for values in inputs.values()]))
 
-            if self._loaded.is_exchange:
+            if self.is_exchange:
                 course = integrated(instance, times, drive, tolerance, is_driven=bool(driven))
             else:
                 course = stepped(instance, times, drive)
@@ -77,7 +72,7 @@ class Library:
         if not np.isfinite(rows).all():
             instant, output = np.argwhere(~np.isfinite(rows))[0]
             what = f"output '{outputs[output]}' is {rows[instant, output]:g} at t = {times[instant]:.6g} s"
-            raise SimulationError(f"FMU '{self._loaded.name}': {what}.")
+            raise SimulationError(f"FMU '{self.name}': {what}.")
         return rows
 
     def first(self, parameters: Mapping[str, float | None], inputs: Sequence[str]) -> dict[str, Any]:
@@ -89,8 +84,8 @@ class Library:
         known = {name: value for name, value in parameters.items() if value is not None}
         with self._started(known, 0.0, _TOLERANCE) as instance:
             return {
-                "inputs": instance.get(self._loaded.references(inputs)),
-                "parameters": instance.get(self._loaded.references(list(parameters))),
+                "inputs": instance.get(self.references(inputs)),
+                "parameters": instance.get(self.references(list(parameters))),
                 "states": instance.state(),
                 "nominals": instance.nominals(),
                 "is_timed": bool(np.isfinite(instance.next_event)),
@@ -108,8 +103,8 @@ class Library:
         Parameters are set before an FMU starts, so that there is one instance for each set of them. Also returns what
         the first failure was.
         """
-        names, driven, read = tuple(parameters), self._loaded.references(inputs), self._loaded.references(outputs)
-        n = 1 + self._loaded.states
+        names, driven, read = tuple(parameters), self.references(inputs), self.references(outputs)
+        n = 1 + self.states
         r = n + len(driven)
 
         def values(point: np.ndarray) -> np.ndarray:
@@ -118,7 +113,7 @@ class Library:
             instance.set(driven, point[n:r])
             return np.concatenate([instance.rates(), instance.get(read)])
 
-        return each(values, points, (self._loaded.states + len(read),))
+        return each(values, points, (self.states + len(read),))
 
     def initial(
         self, names: Sequence[str], points: Float[np.ndarray, "points m"]
@@ -129,14 +124,14 @@ class Library:
             with self._started(dict(zip(names, point[1:].tolist(), strict=True)), 0.0, _TOLERANCE) as instance:
                 return instance.state()
 
-        return each(state, points, (self._loaded.states,))
+        return each(state, points, (self.states,))
 
     @contextmanager
     def _started(self, values: Mapping[str, Any], t: float, tolerance: float) -> Iterator[Instance]:
         """A fresh instance, so that no run depends on the runs before it; given back at the end."""
-        if self._loaded.is_alone:
+        if self.is_alone:
             _free_all(self._instances)
-        instance = Instance(self._loaded, {**self._settings, **values}, t, tolerance)
+        instance = Instance(self, {**self._settings, **values}, t, tolerance)
         try:
             yield instance
         finally:
@@ -146,10 +141,10 @@ class Library:
         """The instance of a set of parameters at the time 0, started if it is new."""
         key = (names, p.tobytes())
         if key not in self._instances:
-            while len(self._instances) >= (1 if self._loaded.is_alone else _KEPT):
+            while len(self._instances) >= (1 if self.is_alone else _KEPT):
                 self._instances.popitem(last=False)[1].free()
             values = dict(zip(names, p.tolist(), strict=True))
-            self._instances[key] = Instance(self._loaded, {**self._settings, **values}, 0.0, _TOLERANCE)
+            self._instances[key] = Instance(self, {**self._settings, **values}, 0.0, _TOLERANCE)
         self._instances.move_to_end(key)
         return self._instances[key]
 
