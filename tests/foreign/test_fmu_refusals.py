@@ -61,6 +61,19 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, behaviour, versi
         assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
 
 
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize(
+    ("behaviour", "message"),
+    [
+        (5, r"does not find its state after an event at t = 0\.\d+ s"),
+        (6, r"one more event at t = 0\.\d+ s, without end"),
+    ],
+)
+def test_events_without_end_end_a_run(rods, version, behaviour, message):
+    run = al.foreign.FmuSimulation(here(rods(version, wall=True), settings={"behaviour": behaviour}), GRID)
+    refused(al.SimulationError, f"FMU 'rod{version}_wall_mc'.*{message}", run, {"fail_at": 0.1})
+
+
 def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_is_told_the_nearest():
     both = SimpleNamespace(modelExchange=True, coSimulation=True)
     assert kind_of("rod", both, "ModelExchange") == kind_of("rod", both, "me") == "model exchange"
