@@ -26,7 +26,7 @@ typedef fmi3ValueReference Reference;
 #endif
 
 enum { TIME, ANGLE, RATE, ANGLE_RATE, RATE_RATE, MASS, LENGTH, DAMPING, GRAVITY, TORQUE, ENERGY, INERTIA, FAIL_AT, WALL_AT, REALS };
-enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, REMEMBERS = 7, ABORTS, LOOPS };
+enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, SEARCHES, RETURNS, REMEMBERS, ABORTS, LOOPS };
 enum { BEHAVIOUR = 100, STARTED = 101 };
 
 typedef struct {
@@ -186,6 +186,8 @@ int fmi2NewDiscreteStates(Rod *rod, fmi2EventInfo *info) {
     memset(info, 0, sizeof *info);
     info->valuesOfContinuousStatesChanged = bounce(rod);
     info->terminateSimulation = is_due(rod, TERMINATES);
+    info->newDiscreteStatesNeeded = is_due(rod, SEARCHES);
+    info->nextEventTimeDefined = is_due(rod, RETURNS), info->nextEventTime = rod->v[TIME];
     return OK;
 }
 int fmi2CompletedIntegratorStep(Rod *rod, int keep, int *event, int *ends) { return (void)keep, *event = 0, *ends = is_due(rod, TERMINATES), OK; }
@@ -219,7 +221,8 @@ int fmi3GetContinuousStateDerivatives(Rod *rod, double *x, size_t n) {
     return memcpy(x, rod->v + ANGLE_RATE, n * sizeof *x), OK;
 }
 int fmi3UpdateDiscreteStates(Rod *rod, _Bool *again, _Bool *ends, _Bool *nominals, _Bool *states, _Bool *timed, double *next) {
-    *again = *nominals = *timed = 0, *next = 0, *states = bounce(rod), *ends = is_due(rod, TERMINATES);
+    *again = is_due(rod, SEARCHES), *nominals = 0, *states = bounce(rod), *ends = is_due(rod, TERMINATES);
+    *timed = is_due(rod, RETURNS), *next = rod->v[TIME];
     return OK;
 }
 int fmi3CompletedIntegratorStep(Rod *rod, _Bool keep, _Bool *event, _Bool *ends) { return (void)keep, *event = 0, *ends = is_due(rod, TERMINATES), OK; }

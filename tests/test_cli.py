@@ -1,12 +1,15 @@
 """The command line: how it exits, what it keeps and what it prints."""
 
+import io
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 import aleator as al
 from aleator import cli, studies
-from aleator.reporting import Table, Verdict
+from aleator.cli._terminal import fitted
+from aleator.reporting import Table, Verdict, values_text
 from aleator.studies import Draft
 from command_line import aleator, said
 from rehearsed_runs import STAGES, Rehearsal
@@ -88,3 +91,22 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, mon
     assert result.exit_code == 2
     assert study.begun == []
     assert "Another process" in said(result)
+
+
+@pytest.mark.parametrize("width", [36, 60, 90, 200])
+def test_a_table_takes_the_width_that_there_is_and_no_number_is_cut(width):
+    names = ["nominal", "robust", "robust, with tolerances", "cheapest"]
+    numbers = [[values_text(10.0**i * (1 + j / 7), 6, "N s/m") for j in range(len(names))] for i in range(3)]
+    labels = ["damping.half_width", "Objective", "Systems that violate any limit"]
+    table = Table(
+        "Designs", ["", *names], [[label, *row] for label, row in zip(labels, numbers, strict=True)], "A note."
+    )
+    console = Console(width=width, file=io.StringIO())
+    blocks = list(fitted(table, width))
+    for block in blocks:
+        console.print(block)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert max(map(len, text.splitlines())) <= width
+    assert all(number in text for row in numbers for number in row)
+    assert (text.count("Designs"), text.count("A note.")) == (1, 1)
+    assert text.count("Objective") == len(blocks) == {36: 4, 60: 2, 90: 1, 200: 1}[width]

@@ -147,6 +147,7 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
         (("resume", "nowhere"), "There is no 'command.json' in 'nowhere'"),
         (("validate", "empty"), "there is no finished design in 'empty'"),
         (("compare", "empty"), "two folders or more"),
+        (("compare", "empty", "empty"), "each once; received empty and empty"),
     ],
 )
 def test_whatever_is_refused_is_told_and_stdout_is_a_document(here: Path, arguments: tuple[str, ...], told: str):

@@ -17,7 +17,7 @@ import xarray
 import aleator as al
 from aleator import solving
 from aleator.journalling import FILE, Entry
-from aleator.journalling._keys import Keys
+from aleator.journalling._journal import Keys
 from zoo import SPREAD, Bar, bar_problem
 
 NEEDED = 1.0 + 3.0 * SPREAD

@@ -91,3 +91,32 @@ def test_equations_forbid_the_speeds_that_those_of_mujoco_forbid(name, tmp_path)
     ours = np.asarray(compiled(robot.closing_jacobian)(q))
     np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
     assert ours.shape == jacobian.shape == (len(robot.constraints), len(robot.speeds))
+
+
+# Hinges whose axes are parallel: the links move in one plane, on which none of them need lie.
+PLANE = """<mujoco>
+  <worldbody>
+    <body name="frame" euler="{euler}">
+      <body name="crank"><joint name="crank" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.02"/>
+        <body name="rod" pos="0 0 0.2"><joint name="rod" axis="0 -1 0"/>
+          <geom type="capsule" fromto="0 0 0 0.5 0 0.1" size="0.02"/><site name="end" pos="0.5 0.1 0.1"/></body></body>
+      <body name="rocker" pos="0.5 0 0"><joint name="rocker" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.02"/><site name="top" pos="0 0.1 0.3"/></body>
+    </body>
+  </worldbody>
+  <equality><connect name="pin" site1="end" site2="top"/></equality>
+</mujoco>
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("euler", ["0 0 0", "20 30 40"])
+def test_a_loop_of_hinges_in_one_plane_is_closed_in_this_plane(euler, tmp_path):
+    path = written(tmp_path, PLANE.format(euler=euler))
+    robot = al.foreign.read_mjcf(path)
+    q = satisfying(robot)
+    jacobian, apart = by_mujoco(path, robot, q)
+    assert np.abs(apart).max() < 1e-12
+    ours = np.asarray(compiled(robot.closing_jacobian)(q))
+    assert len(ours) == 2, "across the plane nothing is said, which would leave a force undetermined"
+    np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)

@@ -32,6 +32,15 @@ def test_names_that_are_no_parameters_are_refused(rods, name, message):
     refused(al.ProblemError, f"FMU 'rod3_mc'.*{message}", al.foreign.FmuSystem, fmu, {name: 1.0})
 
 
+@pytest.mark.parametrize(
+    ("version", "name", "value"),
+    [(2, "started", "no"), (3, "started", "no"), (2, "behaviour", 1.5), (3, "behaviour", 2**32), (3, "damping", "0.1")],
+)
+def test_a_setting_of_another_type_is_refused_which_an_fmu_would_take_for_something_else(rods, version, name, value):
+    message = f"FMU 'rod{version}_mc': '{name}': expected a value of FMI's type .*; received {value!r}"
+    refused(al.ProblemError, message, here, rods(version), settings={name: value})
+
+
 FMI2, FMI3 = (2, "model exchange"), (3, "co-simulation")
 FAILURES = [
     (1, *FMI2, r"failed at t = \S+ s: the hinge is broken.*error., with fail_at=0.6"),
@@ -50,6 +59,19 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, behaviour, versi
     # Another run begins anew.
     if "initialise" not in message:
         assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize(
+    ("behaviour", "message"),
+    [
+        (5, r"does not find its state after an event at t = 0\.\d+ s"),
+        (6, r"one more event at t = 0\.\d+ s, without end"),
+    ],
+)
+def test_events_without_end_end_a_run(rods, version, behaviour, message):
+    run = al.foreign.FmuSimulation(here(rods(version, wall=True), settings={"behaviour": behaviour}), GRID)
+    refused(al.SimulationError, f"FMU 'rod{version}_wall_mc'.*{message}", run, {"fail_at": 0.1})
 
 
 def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_is_told_the_nearest():

@@ -31,6 +31,10 @@ REFUSED = {
         "two different symbols are called 'p'",
     ),
     "a function is none of JAX": (lambda: sympy({X: -sp.besselj(0, sp.sin(X))}, {}), "no function for besselj"),
+    "an integral is not done": (
+        lambda: formulas({"y": sp.Integral(K**C, (K, 0, M))}, {C: 1.0, M: 1.0}),
+        "no function for Integral; rewrite it by elementary ones",
+    ),
     "constraints are nonholonomic": (
         lambda: lagrange(formed(X.diff() ** 2 + V.diff() ** 2, [X, V], nonhol_coneqs=[X.diff() - V * V.diff()]), {}),
         "received nonholonomic ones",

@@ -141,8 +141,9 @@ def compare(folders: list[Path], as_json: bool) -> NoReturn:
     """Print the designs of several runs side by side, and in what they differ."""
     terminal = Terminal("compare", as_json)
     with terminal.refusing():
-        if len(folders) < 2:
-            raise ProblemError("compare: expected two folders or more; received one.")
+        if len(folders) < 2 or len({folder.resolve() for folder in folders}) < len(folders):
+            received = words([str(folder) for folder in folders])
+            raise ProblemError(f"compare: expected two folders or more, each once; received {received}.")
         runs = {label: _documents(folder) for label, folder in zip(_labels(folders), folders, strict=True)}
     rows: dict[tuple[str | None, ...], str] = {}  # the names of a design in all runs, and the first of these
     for name in (name for designs in runs.values() for name in designs):

@@ -31,7 +31,7 @@ NUMBER = "sample"
 # part of the largest number, as spreadsheets round (15 digits).
 _SIX_DIGITS, _OF_RANGE, _ROUNDED = 5.000001e-6, 1e-3, 1e-9
 
-# Columns of a table that may have texts, which nobody reads here.
+# Columns of a table that nobody reads here: they may have texts.
 _COMMENTS = ("comment", "comments")
 
 # A column with one entry of an output: y[3].
@@ -124,18 +124,15 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
         raise ProblemError(f"{path}: expected each column once; received {names}.")
     columns: dict[str, dict[int | None, Any]] = {}
     for column, name in enumerate(names):
-        is_comment = name.lower() in _COMMENTS
+        if name.lower() in _COMMENTS:
+            continue
         try:
             values = numbers_in(rows, column)
         except ValueError as error:
-            if not is_comment:
-                raise ProblemError(
-                    f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
-                    f"Texts may stand in a column {_COMMENTS[0]!r}."
-                ) from error
-            continue
-        if is_comment and not np.isfinite(values).all():
-            continue
+            raise ProblemError(
+                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
+                f"Texts may stand in a column {_COMMENTS[0]!r}."
+            ) from error
         part = _ENTRY.fullmatch(name)
         own, place = (name, None) if part is None else (part[1], int(part[2]))
         columns.setdefault(own, {})[place] = values

@@ -259,7 +259,8 @@ def written(who: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str 
     program = _program(plain)
     if not _is_traceable(program):
         parts = [part for one in plain for part in sympy.postorder_traversal(one) if isinstance(part, sympy.Expr)]
-        # Of nested functions the innermost is the one that is not known.
+        # Of nested functions the innermost is the one that is not known; what is summed over is no number of a model.
+        parts = [part for part in parts if part.free_symbols <= {*real.values()}]
         unknown = next(part for part in parts if not _is_traceable(_program([part])))
         raise ProblemError(
             f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
@@ -318,4 +319,5 @@ def _printer() -> Any:
             return super()._print_Pow(expr, rational=rational)
 
     # What it does not know it writes as it is called, which no program then finds.
-    return Printer({"fully_qualified_modules": True, "allow_unknown_functions": True, "user_functions": _SPECIAL})
+    unknown = {"allow_unknown_functions": True, "strict": False}
+    return Printer({"fully_qualified_modules": True, "user_functions": _SPECIAL, **unknown})

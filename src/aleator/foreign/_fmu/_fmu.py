@@ -7,6 +7,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, final
 
@@ -21,6 +22,8 @@ from aleator.foreign._fmu._library import Library
 # What users call the interfaces, and FMI and its tools do. The first one offered is the default.
 _KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
 _REAL = ("Real", "Float64")  # in FMI 2 and 3
+# Types of FMI that NumPy calls otherwise. A number of 32 bits need not be exact.
+_IN_NUMPY = {"Real": "float64", "Float32": "float64", "Integer": "int32", "Enumeration": "int32", "Boolean": "bool"}
 # As many characters of another library's message are repeated.
 _LONGEST = 160
 
@@ -63,7 +66,7 @@ class Fmu:
         # Two files are two models, whatever they are called.
         self.name, (description, self._digest) = path.stem, unpacked(path, folder)
         self.kind, self.variables = kind_of(self.name, description, kind), Variables(self.name, description)
-        self.variables.refuse_settings(settings)
+        settings = self.variables.settings(settings)
         self._version, self.indicators = description.fmiVersion, int(description.numberOfEventIndicators)
         self.is_exchange = self.kind == "model exchange"
         self.states = self.variables.states() if self.is_exchange else []
@@ -180,9 +183,13 @@ class Variables:
             raise refusal(self._who, "a list of variables to read, each once", names)
         return self._checked(names, "a variable", lambda _: True)
 
-    def refuse_settings(self, settings: Iterable[Any]) -> None:
-        """Raise `ProblemError` for names that are no variables, of any type, that may be set before the start."""
-        self._checked(settings, "a parameter, an input or an initial value", _is_settable, of_any_type=True)
+    def settings(self, given: Mapping[Any, Any]) -> dict[str, Any]:
+        """Values of variables of any type that may be set before the start, by their names.
+
+        Raises `ProblemError` for others, and for values of another type, which an FMU would take for something else.
+        """
+        names = self._checked(given, "a parameter, an input or an initial value", _is_settable, of_any_type=True)
+        return {name: _of_type(f"{self._who}: '{name}'", self.all[name].type, given[name]) for name in names}
 
     def nominals(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
         """The usual sizes that variables declare; 1 for others."""
@@ -223,3 +230,14 @@ def _is_number(variable: Any) -> bool:
 def _is_settable(variable: Any) -> bool:
     is_first = variable.variability != "constant" and variable.initial == "exact"
     return is_first or variable.causality in ("input", "structuralParameter")
+
+
+def _of_type(what: str, kind: str, value: Any) -> Any:
+    """A value of a type of FMI, to its last digit. Raises `ProblemError` for any other."""
+    if kind in ("String", "Binary"):
+        return one_of(what, value, str if kind == "String" else bytes)
+    with suppress(TypeError, ValueError, OverflowError):
+        number = np.dtype(_IN_NUMPY.get(kind, kind.lower())).type(value)
+        if np.ndim(value) == 0 and number == value:
+            return number.item()
+    raise refusal(what, f"a value of FMI's type {kind}", value)

@@ -2,10 +2,9 @@
 
 import copy
 import functools
-import os
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import chdir, suppress
 from ctypes import byref, c_double
 from typing import Any
 
@@ -54,14 +53,12 @@ class Loaded:
         self.is_broken = False  # for good, by what FMI calls a fatal error
         model, slave = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[self.version]
         what = {"guid": description.guid, "modelIdentifier": interface.modelIdentifier, "unzipDirectory": folder}
-        work_folder = os.getcwd()  # noqa: PTH109 (FMPy leaves it for good if the library cannot be loaded)
         try:
-            self.prototype: Any = (model if is_exchange else slave)(instanceName=name, **what)
+            with chdir("."):  # FMPy changes the folder, and leaves it so if the library cannot be loaded
+                self.prototype: Any = (model if is_exchange else slave)(instanceName=name, **what)
         except Exception as error:
             text = " ".join(str(error).split())[:_LONGEST].rstrip(".")
             raise ProblemError(f"FMU '{name}': its library cannot be loaded: {text}.") from error
-        finally:
-            os.chdir(work_folder)
 
     def references(self, names: Sequence[str]) -> list[int]:
         """By which the FMU knows variables."""

@@ -3,7 +3,7 @@
 import threading
 import warnings
 import weakref
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -27,7 +27,7 @@ _FINE = 1e-13
 
 
 @final
-class Library:
+class Library(Loaded):
     """The FMU `name` in an unpacked `folder`, loaded; variables are told by their names.
 
     `settings`: values of variables of any type, for all runs. Raises `ProblemError` if it cannot be loaded.
@@ -35,8 +35,8 @@ class Library:
 
     def __init__(self, name: str, folder: str, is_exchange: bool, settings: Mapping[str, Any]):
         with _LOCK:
-            self._loaded, self._settings = Loaded(name, folder, is_exchange), settings
-        self._instances = OrderedDict[tuple[Any, ...], Instance]()
+            super().__init__(name, folder, is_exchange)
+        self._settings, self._instances = settings, OrderedDict[tuple[Any, ...], Instance]()
         weakref.finalize(self, _free_all, self._instances)
 
     def ask(self, method: str, *arguments: Any, where: str = "") -> Any:
@@ -44,11 +44,6 @@ class Library:
         del where
         with _LOCK:
             return getattr(self, method)(*arguments)
-
-    @property
-    def is_broken(self) -> bool:
-        """Whether it must not be used again in this process, after what FMI calls a fatal error."""
-        return self._loaded.is_broken
 
     def run(
         self,
@@ -62,15 +57,22 @@ class Library:
 
         Raises `SimulationError` if the run fails, or an output is not finite.
         """
-        driven, values = self._loaded.references(list(inputs)), np.array([*inputs.values()]).reshape(-1, len(times)).T
-        first = dict(zip(inputs, values[0].tolist(), strict=True))
+        driven, read = self.references(list(inputs)), self.references(outputs)
+        first = {name: float(values[0]) for name, values in inputs.items()}
         with self._started({**start, **first}, float(times[0]), tolerance) as instance:
-            given = instance, times, driven, values, self._loaded.references(outputs)
-            rows = integrated(*given, tolerance) if self._loaded.is_exchange else stepped(*given)
+
+            def drive(t: float) -> None:
+                instance.set(driven, np.array([np.interp(t, times, values) for values in inputs.values()]))
+
+            if self.is_exchange:
+                course = integrated(instance, times, drive, tolerance, is_driven=bool(driven))
+            else:
+                course = stepped(instance, times, drive)
+            rows = np.stack([instance.get(read) for _ in course])
         if not np.isfinite(rows).all():
             instant, output = np.argwhere(~np.isfinite(rows))[0]
             what = f"output '{outputs[output]}' is {rows[instant, output]:g} at t = {times[instant]:.6g} s"
-            raise SimulationError(f"FMU '{self._loaded.name}': {what}.")
+            raise SimulationError(f"FMU '{self.name}': {what}.")
         return rows
 
     def first(self, parameters: Mapping[str, float | None], inputs: Sequence[str]) -> dict[str, Any]:
@@ -82,8 +84,8 @@ class Library:
         known = {name: value for name, value in parameters.items() if value is not None}
         with self._started(known, 0.0, _TOLERANCE) as instance:
             return {
-                "inputs": instance.get(self._loaded.references(inputs)),
-                "parameters": instance.get(self._loaded.references(list(parameters))),
+                "inputs": instance.get(self.references(inputs)),
+                "parameters": instance.get(self.references(list(parameters))),
                 "states": instance.state(),
                 "nominals": instance.nominals(),
                 "is_timed": bool(np.isfinite(instance.next_event)),
@@ -101,8 +103,8 @@ class Library:
         Parameters are set before an FMU starts, so that there is one instance for each set of them. Also returns what
         the first failure was.
         """
-        names, driven, read = tuple(parameters), self._loaded.references(inputs), self._loaded.references(outputs)
-        n = 1 + self._loaded.states
+        names, driven, read = tuple(parameters), self.references(inputs), self.references(outputs)
+        n = 1 + self.states
         r = n + len(driven)
 
         def values(point: np.ndarray) -> np.ndarray:
@@ -111,7 +113,7 @@ class Library:
             instance.set(driven, point[n:r])
             return np.concatenate([instance.rates(), instance.get(read)])
 
-        return _each(values, points, self._loaded.states + len(read))
+        return each(values, points, (self.states + len(read),))
 
     def initial(
         self, names: Sequence[str], points: Float[np.ndarray, "points m"]
@@ -122,14 +124,14 @@ class Library:
             with self._started(dict(zip(names, point[1:].tolist(), strict=True)), 0.0, _TOLERANCE) as instance:
                 return instance.state()
 
-        return _each(state, points, self._loaded.states)
+        return each(state, points, (self.states,))
 
     @contextmanager
     def _started(self, values: Mapping[str, Any], t: float, tolerance: float) -> Iterator[Instance]:
         """A fresh instance, so that no run depends on the runs before it; given back at the end."""
-        if self._loaded.is_alone:
+        if self.is_alone:
             _free_all(self._instances)
-        instance = Instance(self._loaded, {**self._settings, **values}, t, tolerance)
+        instance = Instance(self, {**self._settings, **values}, t, tolerance)
         try:
             yield instance
         finally:
@@ -139,10 +141,10 @@ class Library:
         """The instance of a set of parameters at the time 0, started if it is new."""
         key = (names, p.tobytes())
         if key not in self._instances:
-            while len(self._instances) >= (1 if self._loaded.is_alone else _KEPT):
+            while len(self._instances) >= (1 if self.is_alone else _KEPT):
                 self._instances.popitem(last=False)[1].free()
             values = dict(zip(names, p.tolist(), strict=True))
-            self._instances[key] = Instance(self._loaded, {**self._settings, **values}, 0.0, _TOLERANCE)
+            self._instances[key] = Instance(self, {**self._settings, **values}, 0.0, _TOLERANCE)
         self._instances.move_to_end(key)
         return self._instances[key]
 
@@ -152,11 +154,11 @@ def _free_all(instances: OrderedDict[tuple[Any, ...], Instance]) -> None:
         instances.popitem()[1].free()
 
 
-def _each(
-    function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], size: int
-) -> tuple[Float[np.ndarray, "points values"], str]:
-    """`size` values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
-    values, reason = np.full((len(points), size), np.nan), ""
+def each(
+    function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], shape: tuple[int, ...]
+) -> tuple[Float[np.ndarray, "points ..."], str]:
+    """Values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
+    values, reason = np.full((len(points), *shape), np.nan), ""
     for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
         try:
             values[index] = function(points[index])
@@ -166,43 +168,38 @@ def _each(
 
 
 def stepped(
-    instance: Instance,
-    times: Float[np.ndarray, " instants"],
-    driven: Sequence[int],
-    inputs: Float[np.ndarray, "instants inputs"],
-    outputs: Sequence[int],
-) -> Float[np.ndarray, "instants outputs"]:
-    """The outputs of co-simulation at all instants. During a step, each input has its value in the middle of it."""
-    rows = [instance.get(outputs)]
-    for index, (t, after) in enumerate(pairwise(times.tolist())):
-        instance.set(driven, (inputs[index] + inputs[index + 1]) / 2)
+    instance: Instance, times: Float[np.ndarray, " instants"], drive: Callable[[float], None]
+) -> Iterator[None]:
+    """Take a co-simulation to each instant. During a step, each input has its value in the middle of it."""
+    yield
+    for t, after in pairwise(times.tolist()):
+        drive((t + after) / 2)
         instance.step(t, after - t)
-        rows.append(instance.get(outputs))
-    return np.stack(rows)
+        yield
 
 
 def integrated(
     instance: Instance,
     times: Float[np.ndarray, " instants"],
-    driven: Sequence[int],
-    inputs: Float[np.ndarray, "instants inputs"],
-    outputs: Sequence[int],
+    drive: Callable[[float], None],
     tolerance: float,
-) -> Float[np.ndarray, "instants outputs"]:
-    """The outputs of model exchange at all instants, with inputs that are straight in between; before an event where
-    one falls on an instant.
+    *,
+    is_driven: bool,
+) -> Iterator[None]:
+    """Take a model exchange to each instant, before an event that falls on it. Inputs are straight between instants.
 
     By LSODA (Petzold 1983), which chooses between methods for stiff equations and others. FMPy's own loop is not used:
-    it goes on with wrong rates where the FMU fails.
+    its BDF is ten times less accurate at a tolerance, it loses what an FMU says of its failure, and where an FMU ends
+    the simulation it returns what there is.
     """
-    n, (t, end) = instance.loaded.states, times[[0, -1]].tolist()
+    n, t, waiting = instance.loaded.states, float(times[0]), deque(times[1:].tolist())
 
     def state() -> np.ndarray:
         return instance.state() if n else np.zeros(1)  # integrators need one number at least
 
     def go(t: float, y: np.ndarray) -> None:
         instance.at(float(t), y[:n])
-        instance.set(driven, np.array([np.interp(t, times, column) for column in inputs.T]))
+        drive(t)
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
         go(t, y)
@@ -216,17 +213,16 @@ def integrated(
         return instance.indicators()
 
     go(t, state())
-    rows = [instance.get(outputs)]
+    yield
     # Events are looked for between the integrator's steps.
     longest = float(np.min(np.diff(times))) if instance.loaded.indicators else np.inf
-    while t < end:
+    while waiting:
         if t >= instance.next_event:
             instance.handle_event()
         y, is_event = state(), False
         before = indicators(t, y)
         # The rates have kinks where the slopes of inputs change.
-        kink = times[times > t][0] if driven else np.inf
-        bound = min(end, instance.next_event, float(kink))
+        bound = min(waiting[0 if is_driven else -1], instance.next_event)
         atol: Any = tolerance * instance.nominals() if n else 1.0
         solver: Any = LSODA(rates, t, y, bound, rtol=tolerance, atol=atol, max_step=min(longest, bound - t))
         while solver.status == "running" and not is_event:
@@ -247,16 +243,14 @@ def integrated(
                     is_late = _has_changed(before, indicators(middle, curve(middle)))
                     low, t = (low, middle) if is_late else (middle, t)
                 y = curve(t)
-            for instant in times[len(rows) :]:
-                if instant > t:
-                    break
+            while waiting and waiting[0] <= t:
+                instant = waiting.popleft()
                 go(instant, y if instant == t else curve(instant))
-                rows.append(instance.get(outputs))
+                yield
             go(t, y)
             is_event, before = instance.asks_for_event() or is_event, after
         if is_event:
             instance.handle_event()
-    return np.stack(rows)
 
 
 def _has_changed(before: np.ndarray, after: np.ndarray) -> bool:

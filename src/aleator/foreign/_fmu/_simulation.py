@@ -16,6 +16,7 @@ from aleator._core.border import one_of, positive, real, refusal
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
 from aleator.dynamics import Grid, check_span
 from aleator.foreign._fmu._fmu import Fmu
+from aleator.foreign._fmu._library import each
 from aleator.trajectories import AbstractSignal
 
 # Relative to a parameter. The error of the formula is about 1e-9 of a smooth function; noise of a solver is magnified
@@ -107,14 +108,12 @@ class FmuSimulation:
         shape = len(self.times), len(self._outputs)
 
         def runs(tolerance: float, points: np.ndarray) -> np.ndarray:
-            outputs = np.full((len(points), *shape), np.nan)
-            for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
-                try:
-                    outputs[index] = self._run(
-                        {**dict(zip(names, points[index, 1:].tolist(), strict=True)), **known}, tolerance
-                    )
-                except SimulationError as error:
-                    warnings.warn(str(error), SimulationWarning, stacklevel=2)
+            def run(point: np.ndarray) -> np.ndarray:
+                return self._run({**dict(zip(names, point[1:].tolist(), strict=True)), **known}, tolerance)
+
+            outputs, reason = each(run, points, shape)
+            if reason:
+                warnings.warn(reason, SimulationWarning, stacklevel=2)
             return outputs
 
         def warn_of_noise(slopes: np.ndarray, disagreement: np.ndarray) -> None:
