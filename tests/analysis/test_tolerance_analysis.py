@@ -99,3 +99,19 @@ def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly()
     found = np.array([analysis.rejects_low, analysis.rejects_high])
     assert np.abs(found - exact).max() < analysis.rejects_error
     assert analysis.rejects_error < 0.2 * exact.sum()
+
+
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")  # a cone is no polynomial
+def test_a_true_position_has_no_derivative_at_its_nominal_and_is_analysed_without():
+    """The distance of two normal deviations is Rayleigh's."""
+    sigma = 0.01
+    hole = {"x": al.Normal(0.0, sigma), "y": al.Normal(0.0, sigma)}
+    analysis = al.tolerance_analysis(
+        hole, lambda at: jnp.sqrt(at["x"] ** 2 + at["y"] ** 2), upper=2.5 * sigma, expansion=al.Expansion(order=8)
+    )
+    assert analysis.mean == pytest.approx(sigma * np.sqrt(np.pi / 2), rel=0.02)
+    assert analysis.std == pytest.approx(sigma * np.sqrt(2 - np.pi / 2), rel=0.05)
+    assert analysis.rejects_high == pytest.approx(1e6 * np.exp(-(2.5**2) / 2), abs=2 * analysis.rejects_error)
+    assert analysis.worst_case == pytest.approx((0.0, 3 * np.sqrt(2) * sigma))
+    assert np.isnan(analysis.rss)
+    assert "nan" not in str(analysis)

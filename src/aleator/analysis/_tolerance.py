@@ -19,7 +19,7 @@ from aleator.analysis._expand import Sampler, expand
 from aleator.analysis._expanded import Expanded
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
-from aleator.references import Linearised, linearise
+from aleator.references import Inputs, Linearised, linear_at_means
 from aleator.statistics import Probability, lines_through, points_in_tail, tail_proposal
 from aleator.uncertainty import (
     AbstractDistribution,
@@ -137,6 +137,8 @@ class ToleranceAnalysis(Drawn):
     - `worst_case`: the range of the output itself over all dimensions within their zones, as far as a search finds it;
     - `rss`: half-width by root sum square; `linear_std`: standard deviation by direct linearisation;
     - `contributions`: by dimension.
+
+    What is linear is NaN where the output has no derivative at the means, such as a distance of zero (true position).
     """
 
     output: str
@@ -181,15 +183,21 @@ class ToleranceAnalysis(Drawn):
             ("shape", f"skewness {self.skewness:.3g}, kurtosis {self.kurtosis:.4g} (0 and 3 if normal)"),
             ("limits", f"{self.lower:g} to {self.upper:g}: Cp {self.cp:.3g}, Cpk {self.cpk:.3g}"),
             ("rejects", f"{self.rejects_low:.3g} ppm low, {self.rejects_high:.3g} ppm high{error}"),
-            ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {self.rss:.5g}"),
+            ("worst case", f"{low:.6g} to {high:.6g}{_linear('; root sum square ±', self.rss)}"),
         ]
         largest = sorted(self.contributions.items(), key=lambda item: -item[1].share)
+        slope = ", sensitivity"
         rows += [
-            (name, f"{one.share:.3g} % of the variance{one.aside}, zone {one.zone}, sensitivity {one.sensitivity:.4g}")
+            (name, f"{one.share:.3g} % of the variance{one.aside}, zone {one.zone}{_linear(slope, one.sensitivity)}")
             for name, one in largest
         ]
         width = max(len(label) for label, _ in rows)
         return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
+
+
+def _linear(what: str, number: float) -> str:
+    """A number of the linear expansion in words; nothing where there is none."""
+    return f"{what} {number:.5g}" if np.isfinite(number) else ""
 
 
 def _capability(distance: float, spread: float) -> float:
@@ -228,7 +236,9 @@ def tolerance_analysis(
     expanded = _expanded(function, model, expansion)
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
-    linear = linearise(function, model)
+    inputs = Inputs("tolerance_analysis", function, model)
+    linear = linear_at_means("tolerance_analysis", inputs)
+    inputs.refuse_nonfinite(linear.mean)
     in_zones = with_distributions(model, lambda name, _: Uniform.bounds(*zones[name]))
     low, high = _beyond(expanded, Sampler(function, model, traced=True), lower, upper)
     return ToleranceAnalysis(

@@ -194,9 +194,16 @@ def linearise(function: Function, model: Pytree) -> Linearised:
     value or derivative at the means is not finite.
     """
     inputs = Inputs("linearise", function, model)
+    linear = linear_at_means("linearise", inputs)
+    inputs.refuse_nonfinite((linear.mean, linear.jacobian))
+    return linear
+
+
+def linear_at_means(verb: str, inputs: Inputs) -> Linearised:
+    """The first-order expansion at the means, whose derivatives need not be finite there."""
     means = _vector([distribution.mean() for distribution in inputs.distributions.values()])
     stds = _vector([distribution.std() for distribution in inputs.distributions.values()])
-    outputs = traceable("linearise", inputs.outputs)
+    outputs = traceable(verb, inputs.outputs)
 
     def twice(means: Float[Array, " inputs"]) -> tuple[Pytree, Pytree]:
         values = outputs(means)
@@ -207,7 +214,6 @@ def linearise(function: Function, model: Pytree) -> Linearised:
         return values, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), slopes)
 
     mean, jacobian = evaluate(with_slopes, means, use=Use.ONCE)
-    inputs.refuse_nonfinite((mean, jacobian))
     library, correlation, stds = in_library(_correlation(inputs.distributions), stds)
     covariance = jax_array(correlation * library.multiply.outer(stds, stds))
     return Linearised(tuple(inputs.distributions), means, covariance, mean, jacobian)
