@@ -65,7 +65,13 @@ FUNCTIONS = {
     "exponentials": sp.exp(-X_0) + sp.log(X_0) + sp.tanh(X_0) + sp.acosh(3 + X_0) + sp.sinh(X_0),
     "kinks": sp.Abs(X_0 - 3) + sp.Max(X_0, C, 0) + sp.Min(X_0, C) + sp.sign(X_0) + sp.Heaviside(X_0 - C),
     "pieces": sp.Piecewise((X_0**2, (X_0 > 1) & (X_0 < 2)), (sp.cos(X_0), X_0 > 3), (0, True)),
-    "special": sp.erf(X_0) + sp.erfc(X_0) + sp.loggamma(X_0) + sp.sinc(X_0) + sp.Mod(X_0, C) + sp.floor(X_0),
+    "special": sp.erf(X_0)
+    + sp.erfc(X_0)
+    + sp.gamma(X_0)
+    + sp.loggamma(X_0)
+    + sp.sinc(X_0)
+    + sp.Mod(X_0, C)
+    + sp.floor(X_0),
     "constants": sp.pi * X_0 + sp.E**2 + sp.Rational(1, 3) + sp.Float("0.1") * X_0 + sp.GoldenRatio,
     "for real numbers": sp.re(X_0) + sp.conjugate(X_0) + sp.Abs(X_0**2 - C).diff(X_0),
 }

@@ -25,7 +25,7 @@ from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 # Functions that SymPy's printer does not know of JAX.
 _SPECIAL = MappingProxyType(
-    {name: f"jax.scipy.special.{ours}" for name, ours in (("erf", "erf"), ("erfc", "erfc"), ("loggamma", "gammaln"))}
+    {name: f"jax.scipy.special.{name}" for name in ("erf", "erfc", "gamma")} | {"loggamma": "jax.scipy.special.gammaln"}
 )
 # Weights of a number within a range that is no fraction of it.
 _GOLDEN = np.array([(5**0.5 - 1) / 2, (3 - 5**0.5) / 2])
