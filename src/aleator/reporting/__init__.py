@@ -1,17 +1,14 @@
 """Reports: figures, a self-contained HTML page, and files of results, made from result objects only."""
 
+from aleator.reporting import _samples as _samples
+from aleator.reporting import _sweeps as _sweeps
+from aleator.reporting import drawn as drawn
 from aleator.reporting._datasets import KINDS as KINDS
 from aleator.reporting._datasets import by_place as by_place
 from aleator.reporting._datasets import dataset as dataset
 from aleator.reporting._datasets import is_group as is_group
 from aleator.reporting._datasets import savable as savable
 from aleator.reporting._datasets import tree as tree
-from aleator.reporting._designs import Axis as Axis
-from aleator.reporting._designs import Box as Box
-from aleator.reporting._designs import mesh_drawing as mesh_drawing
-from aleator.reporting._designs import mesh_figure as mesh_figure
-from aleator.reporting._designs import projection_figure as projection_figure
-from aleator.reporting._designs import search_figure as search_figure
 from aleator.reporting._files import as_path as as_path
 from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._files import has_writer as has_writer
@@ -22,11 +19,10 @@ from aleator.reporting._first_screen import proposal as proposal
 from aleator.reporting._first_screen import recommendation as recommendation
 from aleator.reporting._fronts import decision_path_figure as decision_path_figure
 from aleator.reporting._fronts import front_figure as front_figure
-from aleator.reporting._fronts import pair_figure as pair_figure
+from aleator.reporting._fronts import front_table as front_table
 from aleator.reporting._fronts import relative_figure as relative_figure
 from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
 from aleator.reporting._linked import front_blocks as front_blocks
-from aleator.reporting._linked import front_table as front_table
 from aleator.reporting._linked import linked_front as linked_front
 from aleator.reporting._linked import trade_off_blocks as trade_off_blocks
 from aleator.reporting._motion import Scene as Scene
@@ -65,12 +61,18 @@ from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
 from aleator.reporting._report import trade_offs_section as trade_offs_section
 from aleator.reporting._report import whole_page as whole_page
+from aleator.reporting._solutions import mesh_drawing as mesh_drawing
+from aleator.reporting._solutions import mesh_figure as mesh_figure
+from aleator.reporting._solutions import search_figure as search_figure
+from aleator.reporting._spreads import Axis as Axis
+from aleator.reporting._spreads import Box as Box
 from aleator.reporting._spreads import Trial as Trial
 from aleator.reporting._spreads import bars_figure as bars_figure
 from aleator.reporting._spreads import calibration_figure as calibration_figure
 from aleator.reporting._spreads import density_figure as density_figure
 from aleator.reporting._spreads import effort_figure as effort_figure
 from aleator.reporting._spreads import percentile_figure as percentile_figure
+from aleator.reporting._spreads import projection_figure as projection_figure
 from aleator.reporting._spreads import shares_figure as shares_figure
 from aleator.reporting._store import PAGE as PAGE
 from aleator.reporting._store import design_digest as design_digest
@@ -90,3 +92,4 @@ from aleator.reporting._tables import evidence_table as evidence_table
 from aleator.reporting._tables import side_by_side as side_by_side
 from aleator.reporting._tables import unresolved as unresolved
 from aleator.reporting._tables import violations_table as violations_table
+from aleator.reporting._trade_offs import pair_figure as pair_figure

@@ -4,7 +4,7 @@ import html
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib import resources
@@ -16,14 +16,14 @@ import numpy as np
 
 from aleator._core.border import members, one_of, refusal
 from aleator.reporting._files import write_text
-from aleator.reporting._paths import ends
+from aleator.reporting._style import padded
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Level = Literal["good", "caution", "bad"]
-# A curve of a chosen design is written to this part of its range.
-_FINE = 2000
+# A curve of a chosen design is written to this part of its range, at so many points: there and back, of a band.
+_FINE, _POINTS = 2000, 160
 
 
 class AbstractPart:
@@ -250,15 +250,19 @@ def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
     panels = [_panel(one, f"{name}-{i}", block.heading, block.caption) for i, one in enumerate(block.figures)]
     if isinstance(block, Drawing):
         return {"name": name, "panels": panels}
+    paths = dict[str, list[Any]]()
+    every: list[Any] = [figure for choice in block.choices for figure in choice.bands]
+    for one in every:
+        paths.setdefault(one.layout.meta, []).append(one)
     bands = [
-        _panel(one, f"{name}-band-{i}", f"{block.heading}: {path} of the chosen design", "")
-        for i, (path, one) in enumerate(_stages(block).items())
+        _panel(_stage(figures), f"{name}-band-{i}", f"{block.heading}: {path} of the chosen design", "")
+        for i, (path, figures) in enumerate(paths.items())
     ]
     choices = [
         {
             "name": one.name,
             "facts": [{"caption": table.caption, "rows": table.rows, "note": table.note} for table in one.facts],
-            "bands": {_path_of(figure): _curves_and_limits(figure) for figure in one.bands},
+            "bands": dict(map(_band, one.bands)),
         }
         for one in block.choices
     ]
@@ -280,37 +284,39 @@ def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str,
     }
 
 
-def _stages(block: Linked) -> "Mapping[str, Figure]":
-    """A figure for each path of the choices, by its name, on axes that suit all of them."""
-    every: dict[str, list[Any]] = {}
-    for figure in (figure for one in block.choices for figure in one.bands):
-        every.setdefault(_path_of(figure), []).append(figure)
-    for name, (first, *others) in every.items():
-        times = [edge for one in (first, *others) for edge in ends(np.asarray(one.data[-1].x))]
-        reached = [edge for one in (first, *others) for edge in one.layout.yaxis.range]
-        stage = type(first)(first).update_xaxes(range=[min(times), max(times)])
-        every[name] = stage.update_yaxes(range=[min(reached), max(reached)])
-    return every  # type: ignore[return-value]
+def _stage(figures: Sequence[Any]) -> "Figure":
+    """An empty figure with axes that suit all of some figures of one path."""
+    times, values = ([one for figure in figures for one in _ends(figure, axis)] for axis in ("x", "y"))
+    stage = type(figures[0])(layout=figures[0].layout).update_xaxes(range=padded(times, 0.0))
+    return stage.update_yaxes(range=padded(values, 0.1))
 
 
-def _path_of(figure: Any) -> str:
-    return figure.layout.meta
+def _ends(figure: Any, axis: str) -> list[float]:
+    """The least and the largest of all that a figure shows along an axis."""
+    every = [np.asarray(one[axis], float) for one in figure.data]
+    known = np.concatenate([*every, [one[f"{axis}0"] for one in figure.layout.shapes if axis == "y"]])
+    known = known[np.isfinite(known)]
+    return [float(known.min()), float(known.max())] if known.size else []
 
 
-def _curves_and_limits(figure: Any) -> dict[str, Any]:
-    """What differs between the designs in the figure of a path."""
-    layout, traces = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
-    numbers = ("x", "y", "customdata")
-    curves = [{key: _rounded(one) if key in numbers else one for key, one in each.items()} for each in traces]
-    return {"data": curves, "layout": {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}}
-
-
-def _rounded(values: np.ndarray) -> list[float | None]:
-    """Numbers to a part of their range that is finer than a pixel; null where one is not finite."""
-    known = [*ends(values)]
-    wide = max(known, default=0.0) - min(known, default=0.0)
-    digits = math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
-    return [round(float(one), digits) if math.isfinite(one) else None for one in values]
+def _band(figure: Any) -> tuple[str, dict[str, Any]]:
+    """The name of a path, and what differs between the designs in its figure: curves of no more than so many points,
+    written to a part of their range that is finer than a pixel, and limits.
+    """
+    layout, curves = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
+    for curve in curves:
+        for key in ("x", "y", "customdata"):
+            if key in curve:
+                values = np.asarray(curve[key], float)
+                wide = float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
+                digits = math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
+                shown = np.linspace(0, len(values) - 1, min(len(values), _POINTS)).round().astype(int)
+                rounded = values[shown].round(digits).tolist()
+                curve[key] = [one if math.isfinite(one) else None for one in rounded]
+    return layout["meta"], {
+        "data": curves,
+        "layout": {kind: layout.get(kind, []) for kind in ("shapes", "annotations")},
+    }
 
 
 def _json(content: Any) -> Any:

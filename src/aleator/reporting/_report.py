@@ -10,13 +10,14 @@ import numpy as np
 
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
-from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
-from aleator.reporting._linked import disagreements, evidence_on, front_blocks, trade_off_blocks
+from aleator.reporting._fronts import evidence_on
+from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Block, Code, Drawing, Page, Section, Table, Text, Verdict, write_page
 from aleator.reporting._paths import trajectory_figure
+from aleator.reporting._solutions import mesh_drawing, search_drawings
 from aleator.reporting._spreads import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table

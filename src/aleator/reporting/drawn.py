@@ -1,4 +1,9 @@
-"""The registry of figures and facts: `AbstractPlots`, one method for each figure; `Facts`, what a notebook shows."""
+"""What results show of themselves: their figures (`result.plot`) and their tables in notebooks.
+
+`plots_of` and `facts_of` are functions of the type of a result (`functools.singledispatch`). A new type of result
+derives from `Drawn` of `aleator._core.leaves` and is made known by one line for each: `plots_of.register(Type)` above a
+class of figures, one method for each, and `facts_of.register(Type)` above the function that gives its facts.
+"""
 
 import functools
 from collections.abc import Collection, Mapping, Sequence
@@ -44,7 +49,7 @@ class AbstractPlots(Generic[Result]):
 @functools.singledispatch
 def plots_of(result: Any) -> AbstractPlots[Any]:
     """The figures of a result, by its type."""
-    raise refusal("plot", "a result whose figures are known to aleator.reporting.drawn", result)
+    raise refusal("plot", "a result whose figures are registered", result)
 
 
 def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str) -> tuple[str, Value]:

@@ -1,4 +1,4 @@
-"""Figures and facts of what is sampled or expanded: evidence of one design and of many, functions, tolerances."""
+"""Figures and facts of what is sampled or expanded: evidence on one design and on many, functions, tolerances."""
 
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from aleator.reporting._paths import cloud, components, limits_of, path_figure, 
 from aleator.reporting._spreads import bars_figure, density_figure, percentile_figure, shares_figure
 from aleator.reporting._style import plain
 from aleator.reporting._tables import evidence_table, violations_table
-from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of
+from aleator.reporting.drawn import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence, Sampled
 
@@ -82,10 +82,12 @@ class EvidencePlots(AbstractPlots[Evidence]):
         problem = self._result.solution.problem
         (declared,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
         (edges, heights), limits = _steps(one.values), limits_of(problem, declared)
-        broken = {each: share for each, share in self._result.violations.items() if each in limits.names}
-        title = f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
-        title = "<br>".join([*(f"{share_text(share)} violate {plain(each)}" for each, share in broken.items()), title])
-        shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": title}
+        broken = [(each, share) for each, share in self._result.violations.items() if each in limits.names]
+        lines = [f"{share_text(share)} violate {plain(each)}" for each, share in broken]
+        lines.append(
+            f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
+        )
+        shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": "<br>".join(lines)}
         return density_figure(edges, {"sampled": heights}, x=name, **shown)
 
     def percentiles(self, functional: str | None = None) -> "Figure":

@@ -1,0 +1,151 @@
+"""Figures and facts of other sweeps: calibrations, penalties, many starts, portfolios, cross-checks."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.reporting._numbers import given, number, percent, share_text, unit_of_objective
+from aleator.reporting._page import Table
+from aleator.reporting._solutions import search_figure
+from aleator.reporting._spreads import bars_figure, calibration_figure
+from aleator.reporting._style import ALARM, Look, blank, draw, label, limit_line, looks, plain
+from aleator.reporting.drawn import AbstractPlots, Facts, facts_of, plots_of
+from aleator.sweep import Calibration, CrossChecked, Hardened, Portfolio, Starts
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+# Relative differences below this are drawn there: on a logarithmic axis, zero has no place.
+_LEAST = 1e-16
+# Objectives with a smaller relative difference belong to one optimum, and have to look alike.
+_ALIKE = 1e-4
+
+
+@plots_of.register(Calibration)
+class CalibrationPlots(AbstractPlots[Calibration]):
+    """Figures of a calibration."""
+
+    def trials(self) -> "Figure":
+        """The violation rate of each margin tried, the target, and the choice on fresh systems."""
+        return calibration_figure(self._result)
+
+
+@plots_of.register(Hardened)
+class HardenedPlots(AbstractPlots[Hardened]):
+    """Figures of growing penalties."""
+
+    def excesses(self) -> "Figure":
+        """The excess of each constraint against the weight of its penalty, and the one accepted."""
+        hardened, powers = self._result, {"type": "log", "dtick": 1}
+        figure = blank(label("Weight of the penalties"), label("Excess over the limit, relative"))
+        figure.update_layout(showlegend=True, xaxis=powers, yaxis=powers)
+        for name, look in looks(hardened.excesses[0]).items():
+            excesses = [one[name] if one[name] > 0 else None for one in hardened.excesses]
+            draw(figure, list(hardened.weights), excesses, look, name=name)
+        limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}")
+        return figure
+
+
+@facts_of.register(Calibration)
+def _(calibration: Calibration) -> Facts:
+    name, trials = calibration.name, calibration.trials
+    rows = [[f"{one.sigmas:.4f}", number(one.solution.objective, 5), share_text(one.violation)] for one in trials]
+    end = f"{'' if calibration.confirmed else 'not '}confirmed{', interrupted' * calibration.interrupted}"
+    heading = f"Calibration of {name} for {percent(calibration.target)}: {calibration.sigmas:.4f} σ, {end}"
+    return Facts(heading, calibration.sentence(), [Table("", ["sigmas", "objective", f"violates {name}"], rows)])
+
+
+@facts_of.register(Hardened)
+def _(hardened: Hardened) -> Facts:
+    rows = [
+        [f"{weight:g}", number(one.objective, 5), "; ".join(f"{size:.1e} of {name}" for name, size in excesses.items())]
+        for weight, one, excesses in zip(hardened.weights, hardened.solutions, hardened.excesses, strict=True)
+    ]
+    heading = f"Penalties: {'all' if hardened.holds else 'not all'} limits hold{', interrupted' * hardened.interrupted}"
+    return Facts(heading, "", [Table("", ["weight", "objective", "excess"], rows)])
+
+
+@plots_of.register(Starts)
+class StartsPlots(AbstractPlots[Starts]):
+    """Figures of a problem solved from many starts."""
+
+    def objectives(self) -> "Figure":
+        """The objectives that the starts led to, best first; starts that failed come last, as crosses."""
+        every = self._result.solutions
+        figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
+        solved, failed = (sorted(one.objective for one in every if one.ok == ok) for ok in (True, False))
+        draw(figure, 1 + np.arange(len(solved)), solved, looks(["solved"])["solved"], name="solved", mode="markers")
+        if failed:
+            places = 1 + len(solved) + np.arange(len(failed))
+            draw(figure, places, failed, Look(ALARM, "x"), name="failed", mode="markers")
+        known = [one for one in (*solved, *failed) if np.isfinite(one)]
+        size = max(map(abs, known), default=0.0)
+        if known and np.ptp(known) <= _ALIKE * size:
+            figure.update_yaxes(range=[min(known) - 0.1 * size, max(known) + 0.1 * size])
+        return figure.update_layout(showlegend=bool(failed))
+
+
+@plots_of.register(Portfolio)
+class PortfolioPlots(AbstractPlots[Portfolio]):
+    """Figures of a portfolio of searches."""
+
+    def optima(self) -> "Figure":
+        """How many starts led to each optimum, best first: in all, and of the random ones."""
+        unit = unit_of_objective(self._result.best.problem)
+        places = [f"{i + 1}: {number(one.objective, 5, unit)}" for i, one in enumerate(self._result.optima)]
+        if not places:
+            raise ProblemError(f"plot.optima: expected an optimum; received none: {self._result.best.why()}")
+        by_kind = {"starts": "starts", "of these random": "random"}
+        optima = list(zip(places, self._result.optima, strict=True))
+        groups = {kind: {place: float(getattr(one, key)) for place, one in optima} for kind, key in by_kind.items()}
+        figure = bars_figure(groups, y="Starts that led there")
+        return figure.update_xaxes(title_text="Objective of each optimum, best first")
+
+    def search(self) -> "Figure":
+        """What the global search evaluated."""
+        return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
+
+
+@plots_of.register(CrossChecked)
+class CrossCheckedPlots(AbstractPlots[CrossChecked]):
+    """The figure of a cross-check."""
+
+    def differences(self) -> "Figure":
+        """The relative differences of two solutions: of the objective, of decisions, statistics and multipliers."""
+        one = self._result
+        groups = {
+            "objective": {"objective": one.objective},
+            "decisions": one.decisions,
+            "statistics": one.statistics,
+            "multipliers": {f"multiplier of {text}": value for text, value in one.multipliers.items()},
+        }
+        groups = {kind: each for kind, each in groups.items() if each}
+        rows = sum(map(len, groups.values()))
+        figure = blank(label("Relative difference"), "", height=130 + 34 * rows)
+        figure.update_layout(showlegend=True, xaxis={"type": "log", "dtick": 2})
+        for kind, look in looks(groups).items():
+            sizes = {plain(name): size for name, size in groups[kind].items()}
+            places = [max(size, _LEAST) if np.isfinite(size) else None for size in sizes.values()]
+            texts = [f"{name}: {size:.1e}" for name, size in sizes.items()]
+            draw(figure, places, [*sizes], look, name=kind, mode="markers", text=texts, hover="%{text}")
+        limit_line(figure, one.tolerance, f"accepted: {given(one.tolerance)}", axis="x")
+        return figure.update_yaxes(type="category", autorange="reversed")
+
+
+@facts_of.register(Starts)
+def _(starts: Starts) -> Facts:
+    unit, every = unit_of_objective(starts.best.problem), len(starts.solutions)
+    rows = [[number(one.objective, 6, unit), f"{led} of {every}"] for one, led in starts.optima]
+    sentence = "" if starts.best.ok else starts.best.why()
+    heading = f"{every} starts: {len(rows)} local optima{', interrupted' * starts.interrupted}"
+    return Facts(heading, sentence, [Table("", ["objective", "starts"], rows)])
+
+
+@facts_of.register(Portfolio)
+def _(portfolio: Portfolio) -> Facts:
+    unit = unit_of_objective(portfolio.best.problem)
+    rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in portfolio.optima]
+    heading = f"Portfolio of {portfolio.starts} starts: {len(rows)} optima{', interrupted' * portfolio.interrupted}"
+    sentence = portfolio.sure() if portfolio.best.ok else portfolio.best.why()
+    return Facts(heading, sentence, [Table("", ["objective", "starts", "of these random"], rows)])
