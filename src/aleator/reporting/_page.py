@@ -3,11 +3,9 @@
 import html
 import json
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Literal, final, get_args, get_origin
@@ -129,10 +127,6 @@ class Schematic(AbstractPart):
     number: str = ""
     beside: Sequence[Code] = ()
 
-    def __html__(self) -> str:
-        """The drawings as markup for the template; they are trusted, as the study is."""
-        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
-
 
 @final
 @dataclass(frozen=True)
@@ -199,14 +193,19 @@ class Page:
 
 
 @cache
-def template(name: str) -> Any:
-    """A template of ours, which escapes whatever is inserted."""
+def templates() -> Any:
+    """Our templates, which escape whatever is inserted."""
     import jinja2
 
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.PackageLoader("aleator.reporting"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    return environment.from_string(_source(name))
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    return environment
 
 
 def page_html(page: Page) -> str:
@@ -215,33 +214,13 @@ def page_html(page: Page) -> str:
 
     blocks = [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
     drawings = [_drawn(block, i) for i, block in enumerate(blocks)]
-    return template("page.html.j2").render(
-        page=page,
-        anchors=_anchors(page),
-        next_drawn=iter(drawings).__next__,
-        css=_raw(_source("page.css")),
-        script=_raw(_source("page.js") + _source("linked.js")),
-        plotly=_raw(get_plotlyjs()) if drawings else "",
-    )
+    plotly = get_plotlyjs() if drawings else ""
+    return templates().get_template("page.html.j2").render(page=page, next_drawn=iter(drawings).__next__, plotly=plotly)
 
 
 def write_page(page: Page, path: str | Path) -> Path:
     """Write the page; see `page_html`. An earlier page at `path` is replaced atomically."""
     return write_text(path, page_html(page))
-
-
-def _source(name: str) -> str:
-    return (resources.files("aleator.reporting") / "templates" / name).read_text(encoding="utf-8")
-
-
-def _anchors(page: Page) -> list[str]:
-    """A link target for each section: its heading, with a number where another one has it too."""
-    found: list[str] = []
-    for section in page.sections:
-        anchor = re.sub(r"[^a-z0-9]+", "-", section.heading.lower()).strip("-") or "section"
-        repeats = sum(re.fullmatch(rf"{re.escape(anchor)}(-\d+)?", one) is not None for one in found)
-        found.append(f"{anchor}-{repeats + 1}" if repeats else anchor)
-    return found
 
 
 def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
@@ -266,7 +245,7 @@ def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
         }
         for one in block.choices
     ]
-    return {"name": name, "panels": panels, "bands": bands, "json": _json(choices)}
+    return {"name": name, "panels": panels, "bands": bands, "json": choices}
 
 
 def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str, Any]:
@@ -280,7 +259,7 @@ def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str,
         "title": title,
         "height": content["layout"].get("height", 420),
         "alt": ". ".join(part for part in (heading, title, caption) if part),
-        "json": _json(content),
+        "json": content,
     }
 
 
@@ -317,15 +296,3 @@ def _band(figure: Any) -> tuple[str, dict[str, Any]]:
         "data": curves,
         "layout": {kind: layout.get(kind, []) for kind in ("shapes", "annotations")},
     }
-
-
-def _json(content: Any) -> Any:
-    """Data that a script element may hold."""
-    return _raw(json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
-
-
-def _raw(text: str) -> Any:
-    """Trusted text that the template inserts without escaping: our own styles and scripts, and JSON without any `<`."""
-    from markupsafe import Markup
-
-    return Markup(text)

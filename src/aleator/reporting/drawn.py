@@ -18,7 +18,7 @@ from aleator.design import Problem, problem_rows
 from aleator.dynamics import AbstractSystem
 from aleator.mechanics import AbstractMechanical
 from aleator.reporting._numbers import given
-from aleator.reporting._page import Table, template
+from aleator.reporting._page import Table, templates
 from aleator.uncertainty import AbstractDecision, AbstractDistribution, fields_of
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def page_of(result: Any) -> str:
     except Exception:
         # A notebook would show the trace of this in the place of the result, which can be printed all the same.
         facts = Facts(type(result).__name__)
-    return template("notebook.html.j2").render(facts=facts, printed=str(result))
+    return templates().get_template("notebook.html.j2").render(facts=facts, printed=str(result))
 
 
 @facts_of.register(AbstractMechanical)
