@@ -86,10 +86,10 @@ from aleator.reporting._store import solution_document as solution_document
 from aleator.reporting._style import DASHES as DASHES
 from aleator.reporting._style import Look as Look
 from aleator.reporting._style import looks as looks
+from aleator.reporting._sweeps import pair_figure as pair_figure
 from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table
 from aleator.reporting._tables import evidence_table as evidence_table
 from aleator.reporting._tables import side_by_side as side_by_side
 from aleator.reporting._tables import unresolved as unresolved
 from aleator.reporting._tables import violations_table as violations_table
-from aleator.reporting._trade_offs import pair_figure as pair_figure

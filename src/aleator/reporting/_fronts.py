@@ -1,5 +1,6 @@
 """Figures, tables and facts of fronts: what lies along a bound."""
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
 
 # Values that differ by less than this part are shown as equal: the rest is what solvers' tolerances leave.
 _FLAT = 1e-6
+# Characters of a line over a point.
+_WRAPPED = 60
 # The part of the range of a front between its points and the crosses below them.
 _STEP = 0.07
 
@@ -158,35 +161,19 @@ def _point_text(front: Front, point: Solution | Refused) -> str:
 
 
 def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, places: list[int]) -> None:
-    """Points without a solution, on the axis, with the smallest violations."""
+    """Points without a solution, on the axis, each with the reason."""
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     last, middle = max(missing, key=lambda i: front.values[i]), (front.values.min() + front.values.max()) / 2
-    draw(
-        figure,
-        front.values[missing],
-        [height] * len(missing),
-        Look(look.colour, "x"),
-        name=f"{name}: no design exists",
-        mode="markers+text",
-        hover="%{customdata}",
-        text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
-        textposition="middle right" if front.values[last] < middle else "middle left",
-        textfont={"size": SIZE - 1, "color": look.colour},
-        customdata=[_why(front.points[i]) for i in missing],
-        meta=[places[i] for i in missing],
-        showlegend=False,
-        cliponaxis=False,
-    )
-
-
-def _why(solution: Solution | Refused) -> str:
-    """Status and smallest violations, one per line, as hover text."""
-    if isinstance(solution, Refused):
-        lines = [solution.status.value, solution.reason]
-    else:
-        violation = f"smallest scaled violation {number(solution.certificate.violation, 3)}"
-        lines = [solution.status.value, *(one.sentence() for one in solution.violated), violation]
-    return "<br>".join(map(plain, lines))
+    whys = ["<br>".join(textwrap.wrap(plain(front.points[i].why()), _WRAPPED)) for i in missing]
+    texts = [f" {plain(name)} infeasible" if i == last else "" for i in missing]
+    beside = "middle right" if front.values[last] < middle else "middle left"
+    written = {"text": texts, "textposition": beside, "textfont": {"size": SIZE - 1, "color": look.colour}}
+    # Their height is no objective.
+    over = {"customdata": whys, "hovertemplate": "%{xaxis.title.text}: %{x}<br>%{customdata}<extra></extra>"}
+    shown = {"name": f"{name}: no design exists", "showlegend": False, "cliponaxis": False}
+    marks = {"mode": "markers+text", "meta": [places[i] for i in missing]}
+    heights, look = [height] * len(missing), Look(look.colour, "x")
+    draw(figure, front.values[missing], heights, look, **shown, **marks, **written, **over)
 
 
 def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aleator.design import statistics_in
 from aleator.reporting._fronts import evidence_on, front_figure, front_table, points_of, shadow_price_figure
 from aleator.reporting._numbers import (
     count,
@@ -15,11 +16,12 @@ from aleator.reporting._numbers import (
     unit_of_decision,
     unit_of_limit,
     unit_of_objective,
-    units_of_statistics,
+    unit_of_statistic,
     words,
 )
 from aleator.reporting._page import Choice, Linked, Table
 from aleator.reporting._paths import figures_over_time
+from aleator.reporting._sweeps import pair_figure, rates_of, trade_off_table
 from aleator.reporting._tables import (
     STATUS_WORDS,
     certificate_rows,
@@ -28,7 +30,6 @@ from aleator.reporting._tables import (
     violations,
     worst_text,
 )
-from aleator.reporting._trade_offs import pair_figure, rates_of, trade_off_table
 from aleator.solution import Solution
 from aleator.sweep import SAME, Front, Refused, TradeOff
 from aleator.validation import Evidence
@@ -95,10 +96,9 @@ def _prices(solution: Solution, limits: Sequence[str]) -> Iterator[tuple[str, st
 
 def _statistics(solution: Solution) -> Iterator[tuple[str, str]]:
     """The statistics in the problem that are numbers; those of paths are drawn."""
-    units = units_of_statistics(solution.problem)
-    for text, value in solution.statistics.items():
-        if np.ndim(value) == 0:
-            yield text, number(float(value), 5, units.get(text, ""))
+    for one in statistics_in(solution.problem.expressions):
+        if np.ndim(value := solution.statistics[one.text()]) == 0:
+            yield one.text(), number(float(value), 5, unit_of_statistic(one, solution.problem))
 
 
 def front_blocks(

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Level = Literal["good", "caution", "bad"]
-# A curve of a chosen design is written to this part of its range, at so many points: there and back, of a band.
-_FINE, _POINTS = 2000, 160
+# Digits of a curve of a chosen design, and its points: there and back, of a band.
+_DIGITS, _POINTS = 5, 160
 
 
 class AbstractPart:
@@ -265,34 +265,20 @@ def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str,
 
 def _stage(figures: Sequence[Any]) -> "Figure":
     """An empty figure with axes that suit all of some figures of one path."""
-    times, values = ([one for figure in figures for one in _ends(figure, axis)] for axis in ("x", "y"))
-    stage = type(figures[0])(layout=figures[0].layout).update_xaxes(range=padded(times, 0.0))
-    return stage.update_yaxes(range=padded(values, 0.1))
-
-
-def _ends(figure: Any, axis: str) -> list[float]:
-    """The least and the largest of all that a figure shows along an axis."""
-    every = [np.asarray(one[axis], float) for one in figure.data]
-    known = np.concatenate([*every, [one[f"{axis}0"] for one in figure.layout.shapes if axis == "y"]])
-    known = known[np.isfinite(known)]
-    return [float(known.min()), float(known.max())] if known.size else []
+    traces = [one for figure in figures for one in figure.data]
+    times, values = (np.concatenate([np.asarray(one[axis], float) for one in traces]) for axis in ("x", "y"))
+    limits = [one.y0 for figure in figures for one in figure.layout.shapes]
+    stage = type(figures[0])(layout=figures[0].layout).update_xaxes(range=[times.min(), times.max()])
+    return stage.update_yaxes(range=padded([*values[np.isfinite(values)], *limits], 0.1))
 
 
 def _band(figure: Any) -> tuple[str, dict[str, Any]]:
-    """The name of a path, and what differs between the designs in its figure: curves of no more than so many points,
-    written to a part of their range that is finer than a pixel, and limits.
-    """
+    """The name of a path, and what differs between the designs in its figure: limits, and curves at some instants."""
     layout, curves = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
     for curve in curves:
-        for key in ("x", "y", "customdata"):
-            if key in curve:
-                values = np.asarray(curve[key], float)
-                wide = float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
-                digits = math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
-                shown = np.linspace(0, len(values) - 1, min(len(values), _POINTS)).round().astype(int)
-                rounded = values[shown].round(digits).tolist()
-                curve[key] = [one if math.isfinite(one) else None for one in rounded]
-    return layout["meta"], {
-        "data": curves,
-        "layout": {kind: layout.get(kind, []) for kind in ("shapes", "annotations")},
-    }
+        for key in {"x", "y", "customdata"} & curve.keys():
+            shown = np.linspace(0, len(curve[key]) - 1, min(len(curve[key]), _POINTS)).round().astype(int)
+            values = np.asarray(curve[key], float)[shown].tolist()
+            curve[key] = [float(f"{one:.{_DIGITS}g}") if math.isfinite(one) else None for one in values]
+    limits = {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}
+    return layout["meta"], {"data": curves, "layout": limits}
