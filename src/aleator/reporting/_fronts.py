@@ -35,7 +35,7 @@ from aleator.reporting._style import (
     looks,
     plain,
 )
-from aleator.reporting._tables import STATUS_WORDS, objective_text
+from aleator.reporting._tables import objective_text, status_words
 from aleator.reporting.drawn import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.solution import Solution
 from aleator.sweep import Front, Refused
@@ -299,7 +299,7 @@ def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) 
             price, active = number(point.multiplier(front.bound), 4), words(list(point.active), "nothing")
             optimum = [objective_text(point), price, active, *decided_in(point, decided)]
         else:
-            status = STATUS_WORDS[point.status] if isinstance(point, Solution) else f"no design: {point.reason}"
+            status = status_words(point) if isinstance(point, Solution) else f"no design: {point.reason}"
             optimum = [status, *[NOTHING] * (2 + len(decided))]
         rows.append([f"{before}{bound}", *optimum])
         counted.append(evidence_on(point, evidence))

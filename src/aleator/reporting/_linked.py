@@ -23,10 +23,10 @@ from aleator.reporting._page import Choice, Linked, Table
 from aleator.reporting._paths import figures_over_time
 from aleator.reporting._sweeps import pair_figure, rates_of, trade_off_table
 from aleator.reporting._tables import (
-    STATUS_WORDS,
     certificate_rows,
     decision_text,
     objective_text,
+    status_words,
     violations,
     worst_text,
 )
@@ -51,7 +51,7 @@ def choice(
     - `evidence`: on this design; `wishes`: their values and rates, where the objective is a weighted sum of wishes.
     """
     if isinstance(point, Refused):
-        return Choice(name, [_table("Certificate", [("Status", STATUS_WORDS[point.status])], point.reason)])
+        return Choice(name, [_table("Certificate", [("Status", status_words(point))], point.reason)])
     limits = list(dict.fromkeys(one.name for one in point.constraints))
     objective, active = [(str(point.problem.objective), objective_text(point))], words(list(point.active), "nothing")
     counted = violations(evidence) if evidence else {}

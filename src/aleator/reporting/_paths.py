@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, is_worst_case
-from aleator.reporting._numbers import given, share_text, unit_of_expression, unit_of_functional
+from aleator.reporting._numbers import given, share_text, unit_of_expression, unit_of_functional, unit_of_limit
 from aleator.reporting._style import (
     ALARM,
     CLOUD,
@@ -282,17 +282,19 @@ def trajectory_figure(
     name: str,
     *,
     y: str = "",
-    unit: str = "",
+    unit: str | None = None,
     who: str = "systems",
     every: int | None = None,
 ) -> "Figure":
-    """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10).
+    """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10), in the unit
+    of these.
 
     The first 60 are drawn; those that violate any bound are highlighted. The title gives the share of all samples.
 
     - `every`: so many instants are drawn as one, by default so many that at most 350 remain.
     """
     sampled, solution = [one for one in evidence.trajectories if one.name == name], evidence.solution
+    unit = unit_of_limit(name, solution.problem) if unit is None else unit
     limits = (one for one in solution.problem.constraints if one.name == name and one.is_path)
     instants = next((solution.times_of(one) for one in limits), solution.instants)
     step = every or math.ceil(len(instants) / _SHOWN)

@@ -14,7 +14,7 @@ from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
 from aleator.reporting._fronts import evidence_on
 from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
-from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
+from aleator.reporting._numbers import units_of_moments, words
 from aleator.reporting._page import Block, Code, Drawing, Page, Section, Table, Text, Verdict, write_page
 from aleator.reporting._paths import trajectory_figure
 from aleator.reporting._solutions import mesh_drawing, search_drawings
@@ -167,8 +167,7 @@ def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Sectio
     paths = list[Drawing]()
     for name, one in evidence.items():
         for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            figure = trajectory_figure(one, limit, unit=unit_of_limit(limit, one.solution.problem))
-            paths.append(Drawing([figure], f"{limit} of {name}", told))
+            paths.append(Drawing([trajectory_figure(one, limit)], f"{limit} of {name}", told))
     return Section("Trajectories", paths), Section("Evidence", [*_counted(evidence)])
 
 

@@ -11,7 +11,7 @@ from aleator._core.border import positive
 from aleator._core.errors import ProblemError
 from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, ToleranceAnalysis
 from aleator.design import AbstractFunctional, functionals_of
-from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_functional, unit_of_limit
+from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_functional
 from aleator.reporting._page import Table
 from aleator.reporting._paths import cloud, components, limits_of, path_figure, paths_of, trajectory_figure
 from aleator.reporting._spreads import bars_figure, density_figure, percentile_figure, shares_figure
@@ -50,7 +50,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         nothing = "expected a limit over time, and keep > 0 in al.validate; received evidence without trajectories."
         paths = {one.name: one for one in self._result.trajectories}
         name, _ = chosen("plot.trajectories", self._most_broken(paths) if limit is None else limit, paths, nothing)
-        return trajectory_figure(self._result, name, unit=unit_of_limit(name, self._result.solution.problem), every=1)
+        return trajectory_figure(self._result, name, every=1)
 
     def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
         """The sampled mean of a path with its band, before sampled histories, and the mean by the expansion.
