@@ -22,6 +22,7 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._page import Table
+from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.reporting._style import (
     DASHES,
     LIMIT,
@@ -36,7 +37,6 @@ from aleator.reporting._style import (
     plain,
 )
 from aleator.reporting._tables import objective_text, status_words
-from aleator.reporting.drawn import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.solution import Solution
 from aleator.sweep import Front, Refused
 from aleator.validation import Evidence

@@ -14,10 +14,10 @@ from aleator.design import AbstractFunctional, functionals_of
 from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_functional
 from aleator.reporting._page import Table
 from aleator.reporting._paths import cloud, components, limits_of, path_figure, paths_of, trajectory_figure
+from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.reporting._spreads import bars_figure, density_figure, percentile_figure, shares_figure
 from aleator.reporting._style import plain
 from aleator.reporting._tables import evidence_table, violations_table
-from aleator.reporting.drawn import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence
 

@@ -32,6 +32,7 @@ from aleator.reporting._paths import (
     motion_figure,
     paths_of,
 )
+from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.reporting._style import (
     ALARM,
     LIMIT,
@@ -49,7 +50,6 @@ from aleator.reporting._style import (
     stacked,
 )
 from aleator.reporting._tables import design_rows, side_by_side, status_words
-from aleator.reporting.drawn import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.solving import simulate_systems
 from aleator.uncertainty import AbstractDecision, placements

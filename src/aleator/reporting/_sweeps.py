@@ -17,6 +17,7 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._page import Table
+from aleator.reporting._showing import AbstractPlots, Facts, facts_of, plots_of, unknown
 from aleator.reporting._solutions import search_figure
 from aleator.reporting._spreads import bars_figure, calibration_figure
 from aleator.reporting._style import (
@@ -34,7 +35,6 @@ from aleator.reporting._style import (
     looks,
     plain,
 )
-from aleator.reporting.drawn import AbstractPlots, Facts, facts_of, plots_of, unknown
 from aleator.sweep import Calibration, CrossChecked, Hardened, Portfolio, Starts, TradeOff
 
 if TYPE_CHECKING:
