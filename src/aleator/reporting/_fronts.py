@@ -34,6 +34,7 @@ from aleator.reporting._style import (
     label,
     limit_line,
     looks,
+    padded,
     plain,
 )
 from aleator.reporting._tables import objective_text, status_words
@@ -214,7 +215,9 @@ def decision_path_figure(
         over = {"customdata": bounds, "hover": f"{plain(front.bound)} limit: %{{customdata}}", "cliponaxis": False}
         draw(figure, xs, ys, look, name=name, mode="lines+markers+text", **over, **marks, **written)
     if lower is not None:
-        limit_line(figure, lower, lower_text, dash="dot")
+        limit_line(figure, lower, lower_text, dash="dot", under=True)
+        reached = [float(one.decisions[up]) for front in fronts.values() for one in front.optima if one]
+        figure.update_yaxes(range=padded([lower, *reached], 0.12))
     return figure.update_yaxes(tickformat=",d")
 
 

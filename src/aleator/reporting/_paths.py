@@ -274,7 +274,8 @@ def bands_figure(
 
 def signal_figure(times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "") -> "Figure":
     """An input over time (figure 6.2)."""
-    return path_figure(times, {name: Moments(values, np.zeros_like(values))}, y=name, unit=unit)
+    figure = path_figure(times, {name: Moments(values, np.zeros_like(values))}, y=name, unit=unit)
+    return figure.update_layout(showlegend=False, height=300)
 
 
 def trajectory_figure(
