@@ -14,10 +14,10 @@ from aleator.dynamics import LinkedGrid, phase_of
 from aleator.reporting._numbers import (
     unit_of_decision,
     unit_of_expression,
+    unit_of_functional,
     unit_of_limit,
     unit_of_objective,
     unit_of_statistic,
-    units_of_moments,
 )
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
@@ -73,9 +73,16 @@ class _Arrays:
     def add_decisions(self, along: str, solutions: Sequence[Any], first: Solution) -> None:
         """The decisions of several solutions along an axis; NaN for what is none."""
         for name, value in first.decisions.items():
-            values = [one.decisions[name] if isinstance(one, Solution) else np.nan for one in solutions]
+            each = [
+                np.asarray(one.decisions[name] if isinstance(one, Solution) else np.nan, float) for one in solutions
+            ]
+            # A control has as many values as its mesh has nodes: the rest of shorter ones is NaN.
+            shape = np.max([one.shape for one in each if one.ndim == np.ndim(value)], axis=0).astype(int)
+            stacked = np.full((len(each), *shape), np.nan)
+            for i, one in enumerate(each):
+                stacked[(i, *map(slice, one.shape))] = one
             axes = (along, *_entries(name, value))
-            self.add(f"decision {name}", axes, _side_by_side(values), name, unit_of_decision(name, first.problem))
+            self.add(f"decision {name}", axes, stacked, name, unit_of_decision(name, first.problem))
 
     def add_shares(self, axis: str, shares: Sequence[Share]) -> None:
         """Shares of systems that violate, with their intervals."""
@@ -92,10 +99,10 @@ class _Arrays:
 
         coordinates |= {name: self._arrays.pop(name) for name in coordinates if name in self._arrays}
         data = xarray.Dataset(self._arrays, coords=coordinates, attrs=attributes)
-        known = {} if solution is None else {_time(phase): phase for phase in solution.problem.simulation.phases}
-        for time in (one for one in known if one in data.dims):
-            instants = solution.instants[solution.problem.grid.where(f"{known[time]}.")]  # type: ignore[union-attr]
-            data = data.assign_coords({time: (time, instants, {"long_name": time, "units": "s"})})
+        for phase in () if solution is None else solution.problem.simulation.phases:
+            if (time := _time(phase)) in data.dims:
+                instants = solution.instants[solution.problem.grid.where(f"{phase}.")]  # type: ignore[union-attr]
+                data = data.assign_coords({time: (time, instants, {"long_name": time, "units": "s"})})
         return data
 
 
@@ -108,37 +115,22 @@ def _entries(name: str, value: Any) -> tuple[str, ...]:
     return tuple(f"{_key(name)} axis {i}" for i in range(np.ndim(value)))
 
 
+def _components(shape: Sequence[int]) -> tuple[str, ...]:
+    """The axes of a vector or a matrix, named after their length, so that equal ones are shared."""
+    return tuple(f"component of {size}, {i}" for i, size in enumerate(shape))
+
+
 def _time(phase: str) -> str:
     """The axis of the instants of a phase, or of a motion without phases."""
     return f"time of {phase}" if phase else "time"
 
 
-def _along(problem: Problem, one: Any) -> str:
-    """The axis of the instants of a path, or of a limit on one; empty for what is none."""
-    path = path_of(one)
-    return path and _time(phase_of(path) if isinstance(problem.grid, LinkedGrid) else "")
-
-
-def _along_each(problem: Problem) -> dict[str, str]:
-    """The same for each functional of a problem, by its text."""
-    return {one.text(): _along(problem, one) for one in functionals_of(problem.expressions)}
-
-
-def _axes(values: Any, time: str) -> tuple[str, ...]:
-    """The axis of time first for a path; further axes are named after their length, so that equal ones are shared."""
-    shape = np.shape(values)
-    rest = tuple(f"component of {size}, {i}" for i, size in enumerate(shape[1:] if time else shape))
-    return (time, *rest) if time else rest
-
-
-def _side_by_side(each: Sequence[Any]) -> np.ndarray:
-    """Arrays of one kind stacked, the rest of shorter ones NaN: a control has as many values as its mesh has nodes."""
-    arrays = [np.asarray(one, dtype=float) for one in each]
-    shape = np.max([one.shape for one in arrays if one.ndim == max(other.ndim for other in arrays)], axis=0).astype(int)
-    stacked = np.full((len(arrays), *shape), np.nan)
-    for i, one in enumerate(arrays):
-        stacked[(i, *(slice(size) for size in one.shape))] = one
-    return stacked
+def _axes(problem: Problem, one: Any, values: Any) -> tuple[str, ...]:
+    """The axes of numbers of a functional, a statistic or a limit: first that of time, where it is on a path."""
+    path, shape = path_of(one), np.shape(values)
+    if not path:
+        return _components(shape)
+    return (_time(phase_of(path) if isinstance(problem.grid, LinkedGrid) else ""), *_components(shape[1:]))
 
 
 @dataset.register(Solution)
@@ -153,24 +145,23 @@ def _(solution: Solution) -> "xarray.Dataset":
         arrays.add(f"multiplier {name}", axes, multiplier, f"multiplier of the bounds of {name}")
     for i, (limit, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
         unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {limit.name}"
-        axes = _axes(limit.values, _along(problem, declared))
+        axes = _axes(problem, declared, limit.values)
         if limit.times is not None and len(limit.times) > len(solution.instants):  # Limits on a mesh have more instants
             axes = ("point of limits", *axes[1:])
             arrays.add("times of limits", axes[0], limit.times, "instants of limits over time", "s")
         arrays.add(label, axes, limit.values, limit.text, unit, lower=f"{limit.lower:g}", upper=f"{limit.upper:g}")
         arrays.add(f"{label} multiplier", axes, limit.multipliers, "minus the objective per bound")
         arrays.add(f"{label} active", axes, np.asarray(limit.active, dtype=np.int8), "1 where active")
-    units, along = units_of_moments(problem), _along_each(problem)
+    functionals = {one.text(): one for one in functionals_of(problem.expressions)}
     for text, moments in solution.moments.items():
-        axes, unit = _axes(moments.mean, along[text]), units.get(text, "")
+        axes, unit = _axes(problem, functionals[text], moments.mean), unit_of_functional(functionals[text], problem)
         arrays.add(f"mean {text}", axes, moments.mean, f"mean of {text} by the expansion", unit)
         arrays.add(f"std {text}", axes, moments.std, f"standard deviation of {text} by the expansion", unit)
     for statistic in statistics_in(problem.expressions):
         if not statistic.is_moment:
             text, unit = statistic.text(), unit_of_statistic(statistic, problem)
-            values = solution.statistics[text]
-            axes = _axes(values, along[statistic.functionals[0].text()])
-            arrays.add(f"statistic {text}", axes, values, f"{text} by the expansion", unit)
+            axes = _axes(problem, statistic.functionals[0], solution.statistics[text])
+            arrays.add(f"statistic {text}", axes, solution.statistics[text], f"{text} by the expansion", unit)
     for i, mesh in enumerate(solution.meshes, 1):
         arrays.add(f"mesh {i}", f"node of mesh {i}", mesh.nodes, f"nodes of mesh {i}, {mesh.scheme}", "s")
         axes, about = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
@@ -195,15 +186,16 @@ def _add_histories(arrays: _Arrays, solution: Solution) -> None:
     """States, costates and switching functions of a simultaneous program, each along its own instants."""
     kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
     for kind, histories in kinds.items():
-        if histories is None or not histories.values:
+        if histories is None:
             continue
         for name, values in histories.values.items():
             of = f" of {phase_of(name)}" if histories.phases else ""
-            along = (f"point of {kind}s{of}",)
-            arrays.add(f"times of {kind}s{of}", along[-1], histories.times_of(name), f"instants of {kind}s{of}", "s")
-            along = along if histories is solution.switching else ("realisation", *along)
-            axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
-            arrays.add(f"{kind} {name}", axes, values, f"{kind} of {name}")
+            points = f"point of {kind}s{of}"
+            arrays.add(f"times of {kind}s{of}", points, histories.times_of(name), f"instants of {kind}s{of}", "s")
+            along = (points,) if histories is solution.switching else ("realisation", points)
+            arrays.add(
+                f"{kind} {name}", (*along, *_components(values.shape[len(along) :])), values, f"{kind} of {name}"
+            )
     if solution.mesh_states is not None:
         axes = ("realisation", "germ variable")
         arrays.add("germ", axes, solution.mesh_states.germs, "germ points of the realisations")
@@ -213,11 +205,11 @@ def _add_histories(arrays: _Arrays, solution: Solution) -> None:
 def _(evidence: Evidence) -> "xarray.Dataset":
     """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
     problem, arrays = evidence.solution.problem, _Arrays()
-    units, shares = units_of_moments(problem), {**evidence.violations, "any": evidence.joint}
-    along = _along_each(problem)
+    shares = {**evidence.violations, "any": evidence.joint}
     arrays.add_shares("limit", list(shares.values()))
+    functionals = {one.text(): one for one in functionals_of(problem.expressions)}
     for text, sampled in evidence.functionals.items():
-        axes, unit = _axes(sampled.mean, along[text]), units.get(text, "")
+        axes, unit = _axes(problem, functionals[text], sampled.mean), unit_of_functional(functionals[text], problem)
         parts = {"sampled mean": sampled.mean, "sampled std": sampled.std, "standard error": sampled.standard_error}
         for part, values in parts.items():
             arrays.add(f"{part} {text}", axes, values, f"{part} of {text}", unit)
@@ -227,9 +219,9 @@ def _(evidence: Evidence) -> "xarray.Dataset":
         unit = unit_of_statistic(sampled.statistic, problem)
         arrays.add(f"sampled {text}", (), sampled.estimate, f"{text} of the samples", unit)
         arrays.add(f"standard error {text}", (), sampled.standard_error, f"standard error of {text}", unit)
-    limits = {one.name: _along(problem, one) for one in problem.constraints if one.is_path}
+    limits = {one.name: one for one in problem.constraints if one.is_path}
     for i, kept in enumerate(evidence.trajectories):
-        axes, label = ("system", *_axes(kept.values[0], limits[kept.name])), f"trajectory {i}"
+        axes, label = ("system", *_axes(problem, limits[kept.name], kept.values[0])), f"trajectory {i}"
         unit, bounds = unit_of_limit(kept.name, problem), {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
         arrays.add(f"{label} {kept.name}", axes, kept.values, f"sampled systems: {kept.name}", unit, **bounds)
         broken = np.asarray(kept.violating, dtype=np.int8)

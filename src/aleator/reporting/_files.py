@@ -3,13 +3,11 @@
 import contextlib
 import errno
 import os
-import sys
 import tempfile
 import threading
-import time
 import uuid
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +16,12 @@ from aleator._core.errors import ProblemError
 NAME = ".aleator-lock"
 """The file in a folder that is locked while results are written. It stays there, empty."""
 
-# Longer than moving a set of results into place takes.
-_PATIENCE, _PAUSE = 2.0, 0.05
-
-# Error numbers for a file locked by another process, and for file systems without locks.
-_TAKEN = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}
+# Longer than moving a set of results into place takes, s.
+_PATIENCE = 2.0
+# Error numbers of file systems without locks.
 _IMPOSSIBLE = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
-
-@dataclass
-class _Place:
-    """A folder that this process may be writing into: its nesting depth, and the locked file."""
-
-    turn: threading.RLock = field(default_factory=threading.RLock)
-    depth: int = 0
-    handle: int = -1
-
-
-_places: dict[Path, _Place] = {}
-_list = threading.Lock()
+_turns: defaultdict[Path, threading.RLock] = defaultdict(threading.RLock)
 
 
 @contextlib.contextmanager
@@ -46,70 +31,38 @@ def only_writer(folder: Path) -> Iterator[None]:
     The operating system releases the lock however the process ends. Raises `ProblemError` if another process holds it
     for more than a moment.
     """
-    with _list:
-        place = _places.setdefault(folder.resolve(), _Place())
-    with place.turn:
-        if place.depth == 0:
-            place.handle = _locked(folder)
-        place.depth += 1
+    from filelock import FileLock, Timeout
+
+    place = folder.resolve()
+    with _turns[place]:
+        # The same lock within itself, which is released at the outer end.
+        lock = FileLock(place / NAME, _PATIENCE, mode=0o666, thread_local=False, is_singleton=True)
+        try:
+            lock.acquire()
+        except Timeout as error:
+            raise ProblemError(
+                f"Another process is writing its results into '{folder}': name another folder, or wait until it ends."
+            ) from error
+        except OSError as error:
+            if error.errno not in _IMPOSSIBLE:
+                raise _refused(folder, error) from error
         try:
             yield
         finally:
-            place.depth -= 1
-            if place.depth == 0:
-                os.close(place.handle)
+            lock.release()
 
 
 def has_writer(folder: Path) -> bool:
     """Whether a process is writing results into a folder, as far as can be told; nothing is written to find out."""
+    from filelock import FileLock
+
     try:
-        handle = os.open(folder / NAME, os.O_RDWR)
-    except FileNotFoundError:
-        return False
-    except OSError:  # a folder of somebody else
+        if not (folder / NAME).exists():
+            return False
+        with FileLock(folder / NAME, timeout=0):
+            return False
+    except OSError:  # it is locked, or in a folder of somebody else
         return True
-    try:
-        _lock(handle)
-    except OSError:
-        return True
-    finally:
-        os.close(handle)
-    return False
-
-
-def _locked(folder: Path) -> int:
-    """The lock's file, opened and locked; only opened where the file system has no locks."""
-    try:
-        handle = os.open(folder / NAME, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError as error:
-        raise _refused(folder, error) from error
-    patient_until = time.monotonic() + _PATIENCE
-    while True:
-        try:
-            _lock(handle)
-        except OSError as error:
-            if error.errno in _TAKEN and time.monotonic() < patient_until:
-                time.sleep(_PAUSE)
-                continue
-            if error.errno not in _IMPOSSIBLE:
-                os.close(handle)
-                raise ProblemError(
-                    f"Another process is writing its results into '{folder}': name another folder, or wait until it "
-                    "ends."
-                ) from error
-        return handle
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock(handle: int) -> None:
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-else:
-    import fcntl
-
-    def _lock(handle: int) -> None:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 # Names of temporary files on their way into a folder, or out of it: of several that belong together, whose remains are

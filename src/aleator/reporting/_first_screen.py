@@ -97,12 +97,13 @@ def recommendation(
     if not design.ok:
         return Verdict("bad", "Not solved", f"No design to build: {design.why()}", sentences)
     share = confirmation if confirmation is not None or evidence is None or not evidence.violations else evidence.joint
+    cost = "" if nominal is None else f"{objective} {_objective(design)} instead of {_objective(nominal)}".lstrip()
     rows = [
         ("Build", "; ".join(f"{label} {text}" for label, text in _toleranced(design, labels))),
-        ("Achieves", _achieved(objective or f"{design.problem.objective} =", design)),
+        ("Achieves", f"{objective or f'{design.problem.objective} ='} {_objective(design)}"),
         ("Limits broken", "; ".join(_broken(evidence, share, target, who))),
         ("Other limits", "; ".join(one.sentence() for one in evidence.compared) if evidence else ""),
-        ("Cost", "" if nominal is None else _price(objective, design, nominal)),
+        ("Cost", cost),
         ("Not verified", "; ".join([*_open(design, evidence), *not_verified])),
     ]
     told: Any = {"sentences": sentences, "rows": [(name, text) for name, text in rows if text]}
@@ -181,14 +182,8 @@ def _broken(evidence: Evidence | None, share: Share | None, target: float, who: 
         yield f"any {percent(share.estimate)} [{interval(share)}] {fresh}, target {aimed}"
 
 
-def _achieved(objective: str, design: Solution) -> str:
-    return f"{objective} {number(design.objective, 4, unit_of_objective(design.problem))}"
-
-
-def _price(objective: str, design: Solution, nominal: Solution) -> str:
-    """Both objectives."""
-    beside = number(nominal.objective, 4, unit_of_objective(nominal.problem))
-    return f"{_achieved(objective, design).lstrip()} instead of {beside}"
+def _objective(design: Solution) -> str:
+    return number(design.objective, 4, unit_of_objective(design.problem))
 
 
 def _rougher(design: Solution, nominal: Solution, objective: str, change: tuple[str, str]) -> str:

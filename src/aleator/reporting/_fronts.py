@@ -1,6 +1,7 @@
-"""Figures of sweeps: what lies along a bound (optima, shadow prices, decisions), trade-offs, growing penalties."""
+"""Figures, tables and facts of fronts: what lies along a bound."""
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -8,13 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.errors import ProblemError
+from aleator.design import Problem
 from aleator.reporting._numbers import (
+    NOTHING,
     given,
     number,
-    unit_of_expression,
+    share_text,
+    unit_of_decision,
     unit_of_limit,
     unit_of_objective,
+    words,
 )
+from aleator.reporting._page import Table
+from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.reporting._style import (
     DASHES,
     LIMIT,
@@ -24,20 +32,25 @@ from aleator.reporting._style import (
     blank,
     draw,
     label,
-    legend_entry,
     limit_line,
     looks,
     padded,
     plain,
 )
+from aleator.reporting._tables import objective_text, status_words
 from aleator.solution import Solution
-from aleator.sweep import Front, Refused, TradeOff
+from aleator.sweep import Front, Refused
+from aleator.validation import Evidence
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 # Values that differ by less than this part are shown as equal: the rest is what solvers' tolerances leave.
 _FLAT = 1e-6
+# Characters of a line over a point.
+_WRAPPED = 60
+# The part of the range of a front between its points and the crosses below them.
+_STEP = 0.07
 
 
 def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
@@ -60,10 +73,6 @@ def bound_unit(front: Front) -> str:
     return unit_of_limit(front.bound, front.points[0].problem)
 
 
-def _bound(front: Front) -> tuple[str, str]:
-    return f"Limit of {front.bound}", bound_unit(front)
-
-
 def front_figure(
     fronts: Mapping[str, Front],
     *,
@@ -80,23 +89,24 @@ def front_figure(
     solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
     `infeasible` shades the bounds at which another design does not exist.
     """
-    first = next(iter(fronts.values()))
-    x, x_unit = (x, x_unit) if x else _bound(first)
-    y, y_unit = (y, y_unit) if y else ("Objective", unit_of_objective(first.points[0].problem))
-    figure = blank(label(x, x_unit), label(y, y_unit))
-    low, high = _range(fronts, list(limits.values()))
-    step, rows = 0.07 * (high - low), 1
-    for row, (name, (front, places)) in enumerate(in_order(fronts).items(), start=1):
+    objective = "Objective", unit_of_objective(next(iter(fronts.values())).points[0].problem)
+    figure = _over_bound(fronts, (x, x_unit), (y, y_unit) if y else objective)
+    values = [one.objective for front in fronts.values() for one in front.optima if one] + [*limits.values()]
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    if high - low <= _FLAT * max(abs(low), abs(high)):
+        low, high = low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0)
+    step, rows = _STEP * (high - low), 1
+    for name, (front, places) in in_order(fronts).items():
         look = looks(fronts)[name]
-        legend_entry(figure, name, look)
-        texts = {"text": [_hover(front, i) for i in range(len(front.points))], "showlegend": False}
-        _add_points(figure, name, front, look, front.objectives, y_unit, "%{text}", places, **texts)
+        # A filled marker, whatever the first point's marker is.
+        draw(figure, [None], [None], look, name=name, legendgroup=plain(name))
+        texts = {"text": [_point_text(front, one) for one in front.points], "showlegend": False}
+        _add_points(figure, name, front, look, front.objectives, places, hover="%{text}", **texts)
         if not front.solved.all():
-            rows = row + 1
-            _add_infeasible(figure, name, front, look, low - step * row, x_unit, places)
+            _add_infeasible(figure, name, front, look, low - step * rows, places)
+            rows += 1
     # Leaves room below the data for the label of the shaded band.
-    rows += 1 if infeasible else 0
-    figure.update_yaxes(range=[low - step * rows, high + step])
+    figure.update_yaxes(range=[low - step * (rows + bool(infeasible)), high + step])
     for text, value in limits.items():
         limit_line(figure, value, text)
     for name, front in infeasible.items():
@@ -109,23 +119,18 @@ def shadow_price_figure(
 ) -> "Figure":
     """The value of relaxing a bound: the multiplier along each front, times `scale`; axes as of `front_figure`."""
     first = next(iter(fronts.values()))
-    x, x_unit = (x, x_unit) if x else _bound(first)
-    if not y:
-        unit, by = unit_of_objective(first.points[0].problem), bound_unit(first)
-        y, y_unit = "Shadow price of the bound", f"{unit or '1'} per {by}" if by else ""
-    figure = blank(label(x, x_unit), label(y, y_unit), height=360)
+    unit, by = unit_of_objective(first.points[0].problem), bound_unit(first)
+    price = "Shadow price of the bound", f"{unit or '1'} per {by}" if by else ""
+    figure = _over_bound(fronts, (x, x_unit), (y, y_unit) if y else price, height=360)
     for name, (front, places) in in_order(fronts).items():
-        price, below = scale * front.shadow_prices, f"limit %{{x:.4~g}} {plain(x_unit)}"
-        _add_points(figure, name, front, looks(fronts)[name], price, y_unit, below, places, cliponaxis=False)
+        _add_points(figure, name, front, looks(fronts)[name], scale * front.shadow_prices, places, cliponaxis=False)
     return figure.update_yaxes(rangemode="tozero")
 
 
-def _range(fronts: Mapping[str, Front], extra: list[float]) -> tuple[float, float]:
-    values = [one.objective for front in fronts.values() for one in front.optima if one] + extra
-    low, high = (min(values), max(values)) if values else (0.0, 1.0)
-    if high - low > _FLAT * max(abs(low), abs(high)):
-        return low, high
-    return low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0)
+def _over_bound(fronts: Mapping[str, Front], x: tuple[str, str], y: tuple[str, str], height: int = 420) -> "Figure":
+    """An empty figure over the bound of some fronts, which is called as in the problem where `x` has no name."""
+    first = next(iter(fronts.values()))
+    return blank(label(*(x if x[0] else (f"Limit of {first.bound}", bound_unit(first)))), label(*y), height=height)
 
 
 def _add_points(
@@ -134,8 +139,6 @@ def _add_points(
     front: Front,
     look: Look,
     values: Float[np.ndarray, " points"],
-    unit: str,
-    below: str,
     places: list[int],
     **style: Any,
 ) -> None:
@@ -144,54 +147,34 @@ def _add_points(
     """
     active = [isinstance(one, Solution) and one.multiplier(front.bound) > 0 for one in front.points]
     symbols = [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
-    hover = f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(unit)}<br>{below}"
     marks = {"marker_symbol": symbols, "marker_line_width": 2, "marker_line_color": look.colour}
-    linked = {"name": name, "legendgroup": plain(name), "meta": places, "hover": hover}
-    draw(figure, front.values, values, look, **linked, **marks, **style)
+    draw(figure, front.values, values, look, name=name, legendgroup=plain(name), meta=places, **marks, **style)
 
 
-def _hover(front: Front, i: int) -> str:
-    solution = front.points[i]
-    if isinstance(solution, Refused):
+def _point_text(front: Front, point: Solution | Refused) -> str:
+    """What limits a point, what that costs, and its decisions, in lines."""
+    if isinstance(point, Refused):
         return ""
-    shadow_price = f"<br>shadow price of the bound {number(solution.multiplier(front.bound), 3)} per unit"
-    active = ", ".join(dict.fromkeys(name.split("[")[0] for name in solution.active)) or "nothing"
-    decisions = "".join(
-        f"<br>{plain(key)} = {number(float(value))}" for key, value in solution.decisions.items() if not np.ndim(value)
-    )
-    return f"{plain(front.bound)} limit {number(front.values[i])}<br>active: {plain(active)}{shadow_price}{decisions}"
+    active = ", ".join(dict.fromkeys(name.split("[")[0] for name in point.active)) or "nothing"
+    price = number(point.multiplier(front.bound), 3)
+    decisions = [f"{key} = {number(float(value))}" for key, value in point.decisions.items() if not np.ndim(value)]
+    return "<br>".join(map(plain, [f"active: {active}", f"shadow price of the bound {price} per unit", *decisions]))
 
 
-def _add_infeasible(
-    figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str, places: list[int]
-) -> None:
-    """Points without a solution, on the axis, with the smallest violations."""
+def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, places: list[int]) -> None:
+    """Points without a solution, on the axis, each with the reason."""
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     last, middle = max(missing, key=lambda i: front.values[i]), (front.values.min() + front.values.max()) / 2
-    draw(
-        figure,
-        front.values[missing],
-        [height] * len(missing),
-        Look(look.colour, "x"),
-        name=f"{name}: no design exists",
-        mode="markers+text",
-        hover=f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}",
-        text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
-        textposition="middle right" if front.values[last] < middle else "middle left",
-        textfont={"size": SIZE - 1, "color": look.colour},
-        customdata=[_why(front.points[i]) for i in missing],
-        meta=[places[i] for i in missing],
-        showlegend=False,
-        cliponaxis=False,
-    )
-
-
-def _why(solution: Solution | Refused) -> str:
-    """Status and smallest violations, one per line, as hover text."""
-    if isinstance(solution, Refused):
-        return f"{plain(solution.status.value)}<br>{plain(solution.reason)}"
-    lines = [plain(solution.status.value), *(plain(one.sentence()) for one in solution.violated)]
-    return "<br>".join([*lines, f"smallest scaled violation {number(solution.certificate.violation, 3)}"])
+    whys = ["<br>".join(textwrap.wrap(plain(front.points[i].why()), _WRAPPED)) for i in missing]
+    texts = [f" {plain(name)} infeasible" if i == last else "" for i in missing]
+    beside = "middle right" if front.values[last] < middle else "middle left"
+    written = {"text": texts, "textposition": beside, "textfont": {"size": SIZE - 1, "color": look.colour}}
+    # Their height is no objective.
+    over = {"customdata": whys, "hovertemplate": "%{xaxis.title.text}: %{x}<br>%{customdata}<extra></extra>"}
+    shown = {"name": f"{name}: no design exists", "showlegend": False, "cliponaxis": False}
+    marks = {"mode": "markers+text", "meta": [places[i] for i in missing]}
+    heights, look = [height] * len(missing), Look(look.colour, "x")
+    draw(figure, front.values[missing], heights, look, **shown, **marks, **written, **over)
 
 
 def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
@@ -227,14 +210,10 @@ def decision_path_figure(
         bounds = [given(float(f"{value:.4g}"), bound_unit) for value, _ in solved]
         # Labels at both ends of several fronts would overlap.
         texts = [text if place == max(xs) else "" for place, text in zip(xs, bounds, strict=True)]
-        hover = (
-            f"<b>{plain(name)}</b>, {plain(front.bound)} limit %{{customdata}}"
-            f"<br>{plain(across)} = %{{x:.5~g}}<br>{plain(up)} = %{{y:.5~g}}"
-        )
         marks = {"line_width": 1.5, "marker_symbol": f"{look.symbol}-open", "marker_size": 10, "marker_line_width": 2}
         written = {"text": texts, "textposition": "middle left", "textfont": {"size": SIZE - 2, "color": look.colour}}
-        named = {"name": name, "customdata": bounds, "hover": hover, "cliponaxis": False}
-        draw(figure, xs, ys, look, mode="lines+markers+text", **named, **marks, **written)
+        over = {"customdata": bounds, "hover": f"{plain(front.bound)} limit: %{{customdata}}", "cliponaxis": False}
+        draw(figure, xs, ys, look, name=name, mode="lines+markers+text", **over, **marks, **written)
     if lower is not None:
         limit_line(figure, lower, lower_text, dash="dot", under=True)
         reached = [float(one.decisions[up]) for front in fronts.values() for one in front.optima if one]
@@ -247,34 +226,106 @@ def relative_figure(front: Front, names: Mapping[str, str], *, x: str, y: str, x
     (front, _), figure = in_order({"": front})[""], blank(label(x, x_unit), plain(y))
     places = front.solutions[0].problem.placements.designed
     for (name, text), look, dash in zip(names.items(), looks(names).values(), DASHES, strict=False):
-        values = [float(one.decisions[name]) if one else np.nan for one in front.optima]
-        hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the initial value"
-        shown = {"name": text, "customdata": [number(one) for one in values], "hover": hover, "line_dash": dash}
-        draw(figure, front.values, 100 * np.array(values) / float(places[name].decision.initial), look, **shown)
+        values = np.array([float(one.decisions[name]) if one else np.nan for one in front.optima])
+        over = {"customdata": [number(one) for one in values], "hover": "%{customdata}", "line_dash": dash}
+        draw(figure, front.values, 100 * values / float(places[name].decision.initial), look, name=text, **over)
     limit_line(figure, 100.0, "initial value (100 %)")
     _shade_infeasible(figure, "design", front)
     return figure.update_yaxes(rangemode="tozero")
 
 
-def unit_of(front: TradeOff, which: int) -> str:
-    """The unit of a wish; empty where it is unknown."""
-    return unit_of_expression(front.wishes[which], front.solutions[0].problem) if front.solutions else ""
+@plots_of.register(Front)
+class FrontPlots(AbstractPlots[Front]):
+    """Figures of a front along a bound."""
+
+    def curve(self) -> "Figure":
+        """The optimum against the bound: filled where it is active; crosses where there is no design."""
+        return front_figure({"design": self._solved("plot.curve")})
+
+    def shadow_prices(self) -> "Figure":
+        """By what the optimum falls for each unit by which the bound is relaxed."""
+        return shadow_price_figure({"design": self._solved("plot.shadow_prices")})
+
+    def decision(self, name: str | None = None) -> "Figure":
+        """A decision against the bound, of an array each entry; by default the first."""
+        (front, _) = in_order({"": self._solved("plot.decision")})[""]
+        problem, nothing = front.solutions[0].problem, "expected a decision; received none."
+        name, place = chosen("plot.decision", name, problem.placements.designed, nothing)
+        figure = _over_bound({"": front}, ("", ""), (name, unit_of_decision(name, problem)))
+        shape = np.shape(place.decision.initial)
+        entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
+        missing = np.full(len(entries), np.nan)
+        rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
+        for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
+            draw(figure, front.values, column, look, name=entry, marker_size=8)
+        return figure.update_layout(showlegend=len(entries) > 1)
+
+    def _solved(self, what: str) -> Front:
+        """The front. Raises `ProblemError` if it has no design."""
+        front = self._result
+        if not front.solved.any():
+            why = f": {front.points[0].why()}" if front.points else "."
+            raise ProblemError(f"{what}: expected a solved design; received none{why}")
+        return front
 
 
-def wishes_text(front: TradeOff) -> list[str]:
-    """The values of all wishes of each design, to be shown over its point."""
-    named = [(plain(name), unit_of(front, i)) for i, name in enumerate(front.names)]
-    rows = [
-        [f"{name}: {plain(number(float(value), 5, unit))}" for (name, unit), value in zip(named, row, strict=True)]
-        for row in front.values
+# --- Tables of designs -----------------------------------------------------------------------------------------------
+
+
+def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
+    """The evidence on this very design: on its decisions, in a problem with the same text; None if there is none."""
+    if isinstance(solution, Refused):
+        return None
+    for one in known:
+        same = np.array_equal(one.solution.vector, solution.vector)
+        if one.solution is solution or (same and one.solution.problem_text == solution.problem_text):
+            return one
+    return None
+
+
+def points_of(fronts: Mapping[str, Front]) -> list[tuple[str, str, Front, Solution | Refused]]:
+    """Each point of some fronts: the name of its front, if there are several, its bound, its front, and what it is."""
+    return [
+        (f"{name}, " if len(fronts) > 1 else "", given(value, bound_unit(front)), front, point)
+        for name, front in fronts.items()
+        for value, point in zip(front.values, front.points, strict=True)
     ]
-    return ["<br>".join(row) for row in rows]
 
 
-def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
-    """Two wishes, by their places among `front.names`, against one another."""
-    figure = blank(*(label(front.names[i], unit_of(front, i)) for i in (first, second)))
-    look, (x, y) = looks(["design"])["design"], (front.values[:, i] for i in (first, second))
-    line = {"line_color": look.fill(0.4), "line_width": 1.5} if len(front.names) == 2 else {"mode": "markers"}
-    draw(figure, x, y, look, hover="%{text}", text=wishes_text(front), meta=list(range(len(x))), **line)
-    return figure.update_layout(showlegend=False)
+def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) -> Table:
+    """A row for each point of some fronts along one bound: its optimum and decisions; why there is no design."""
+    first = next(iter(fronts.values()))
+    decided = numbers_in(first.points[0].problem)
+    rows, counted = [], []
+    for before, bound, front, point in points_of(fronts):
+        if isinstance(point, Solution) and point.ok:
+            price, active = number(point.multiplier(front.bound), 4), words(list(point.active), "nothing")
+            optimum = [objective_text(point), price, active, *decided_in(point, decided)]
+        else:
+            status = status_words(point) if isinstance(point, Solution) else f"no design: {point.reason}"
+            optimum = [status, *[NOTHING] * (2 + len(decided))]
+        rows.append([f"{before}{bound}", *optimum])
+        counted.append(evidence_on(point, evidence))
+    header = [f"Limit of {first.bound}", "Objective", "Shadow price", "Active", *decided]
+    if any(counted):
+        header.append("Violate any limit")
+        rows = [[*row, share_text(one.joint if one else None)] for row, one in zip(rows, counted, strict=True)]
+    return Table(f"Designs along the limit of {first.bound}", header, rows)
+
+
+def numbers_in(problem: Problem) -> list[str]:
+    """The decisions that are single numbers."""
+    return [name for name, place in problem.placements.designed.items() if np.ndim(place.decision.initial) == 0]
+
+
+def decided_in(point: Solution, names: Sequence[str]) -> list[str]:
+    return [number(float(point.decisions[name]), 5, unit_of_decision(name, point.problem)) for name in names]
+
+
+@facts_of.register(Front)
+def _(front: Front) -> Facts:
+    solved, every = int(front.solved.sum()), len(front.points)
+    heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
+    points = zip(front.values, front.points, strict=True)
+    reasons = [f"No design at {given(value, bound_unit(front))}: {one.why()}" for value, one in points if not one.ok]
+    return Facts(heading, " ".join(reasons), [front_table({"": front})])

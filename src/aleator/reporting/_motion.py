@@ -44,13 +44,13 @@ def plane_figure(
     rows = paths[:_PATHS]
     bad = np.zeros(len(rows), bool) if broken is None else np.asarray(broken, bool)[:_PATHS]
     figure = _plane(title, [rows, nominal], scene)
+    thin = {"line_width": 0.9, "opacity": 0.8}
     for chosen, name, colour in ((~bad, "within the limits", CLOUD), (bad, "violating", ALARM)):
         if chosen.any():
             counted = f"{name} ({int(chosen.sum())} of {len(bad)} drawn)"
-            draw(figure, *_strokes(rows[chosen]), colour, name=counted, mode="lines", line_width=0.9, opacity=0.8)
-    thick = {"name": "nominal system", "hover": "x %{x:.3f} m, y %{y:.3f} m", "line_width": 2.5}
+            draw(figure, *_strokes(rows[chosen]), colour, name=counted, mode="lines", hover=None, **thin)
     x, y = short(nominal.T)
-    draw(figure, x, y, look, mode="lines", **thick)
+    draw(figure, x, y, look, name="nominal system", mode="lines", line_width=2.5)
     _add_cross(figure, target)
     return figure
 
@@ -76,9 +76,9 @@ def linkage_animation(
     cloud, mechanism = np.moveaxis(joints[:_SYSTEMS], 1, 0)[chosen], nominal[chosen]
     figure = _plane(title, [cloud, mechanism], scene, height=640)
     dotted = {"name": "path of the nominal tip", "line_dash": "dot", "line_width": 1.2}
-    draw(figure, *_listed(nominal[:, -1]), look, mode="lines", **dotted)
+    draw(figure, *_listed(nominal[:, -1]), look, mode="lines", hover=None, **dotted)
     many = {"name": f"{len(joints[:_SYSTEMS])} systems", "line_width": 1.2, "opacity": 0.8}
-    draw(figure, *_strokes(cloud[0]), CLOUD, mode="lines", **many)
+    draw(figure, *_strokes(cloud[0]), CLOUD, mode="lines", hover=None, **many)
     thick = {"name": "nominal system", "line_width": 5, "marker_line_color": "white", "marker_line_width": 1}
     draw(figure, *_listed(mechanism[0]), Look(look.colour, "circle"), **thick)
     _add_cross(figure, target)
@@ -120,7 +120,11 @@ def _add_controls(figure: "Figure", names: Sequence[str], pause: float) -> None:
 
 def _plane(title: str, parts: Sequence[np.ndarray], scene: Scene, height: int = 520) -> "Figure":
     """An empty plane with equal scales that contains some points, with its obstacles and its wall."""
-    (left, right), (low, high) = _extent(parts, scene)
+    xs, ys = ([edge(part[..., i]) for part in parts for edge in (np.min, np.max)] for i in (0, 1))
+    for x, y, radius in scene.discs:
+        xs, ys = [*xs, x - radius, x + radius], [*ys, y - radius, y + radius]
+    left, right = padded(xs if scene.wall is None else [*xs, scene.wall - 0.12], 0.05)
+    low, high = padded(ys, 0.05)
     figure = blank(label("x", "m"), label("y", "m"), title=title, height=height)
     figure.update_xaxes(range=[left, right], constrain="domain")
     figure.update_yaxes(range=[low, high], scaleanchor="x", scaleratio=1, constrain="domain")
@@ -134,15 +138,6 @@ def _plane(title: str, parts: Sequence[np.ndarray], scene: Scene, height: int = 
         figure.add_shape(type="rect", x0=left, x1=scene.wall, y0=low, y1=high, **solid, line_width=0)
         figure.add_annotation(x=(left + scene.wall) / 2, y=(low + high) / 2, text="wall", textangle=-90, **note)
     return figure
-
-
-def _extent(parts: Sequence[np.ndarray], scene: Scene) -> tuple[list[float], list[float]]:
-    """Ranges that contain all points and fixed objects."""
-    xs, ys = ([edge(part[..., i]) for part in parts for edge in (np.min, np.max)] for i in (0, 1))
-    xs += [x + side * radius for x, _, radius in scene.discs for side in (-1, 1)]
-    ys += [y + side * radius for _, y, radius in scene.discs for side in (-1, 1)]
-    xs += [] if scene.wall is None else [scene.wall - 0.12]
-    return padded(xs, 0.05), padded(ys, 0.05)
 
 
 def _add_cross(figure: "Figure", target: Sequence[float] | None) -> None:

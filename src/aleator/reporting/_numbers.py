@@ -153,11 +153,5 @@ def units_of_moments(problem: Problem) -> dict[str, str]:
     return {one.text(): unit_of_functional(one, problem) for one in functionals_of(problem.expressions)}
 
 
-def units_of_statistics(problem: Problem) -> dict[str, str]:
-    """The unit of each statistic in a problem, by its text."""
-    every = (one for expression in problem.expressions for one in expression.leaves if isinstance(one, Statistic))
-    return {one.text(): unit_of_statistic(one, problem) for one in every}
-
-
 def _written(unit: str) -> str:
     return "" if unit == PURE else unit

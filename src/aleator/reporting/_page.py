@@ -3,11 +3,9 @@
 import html
 import json
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Literal, final, get_args, get_origin
@@ -16,14 +14,14 @@ import numpy as np
 
 from aleator._core.border import members, one_of, refusal
 from aleator.reporting._files import write_text
-from aleator.reporting._paths import ends
+from aleator.reporting._style import padded
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Level = Literal["good", "caution", "bad"]
-# A curve of a chosen design is written to this part of its range.
-_FINE = 2000
+# Digits of a curve of a chosen design, and its points: there and back, of a band.
+_DIGITS, _POINTS = 5, 160
 
 
 class AbstractPart:
@@ -129,10 +127,6 @@ class Schematic(AbstractPart):
     number: str = ""
     beside: Sequence[Code] = ()
 
-    def __html__(self) -> str:
-        """The drawings as markup for the template; they are trusted, as the study is."""
-        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
-
 
 @final
 @dataclass(frozen=True)
@@ -199,14 +193,19 @@ class Page:
 
 
 @cache
-def template(name: str) -> Any:
-    """A template of ours, which escapes whatever is inserted."""
+def templates() -> Any:
+    """Our templates, which escape whatever is inserted."""
     import jinja2
 
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.PackageLoader("aleator.reporting"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    return environment.from_string(_source(name))
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    return environment
 
 
 def page_html(page: Page) -> str:
@@ -215,33 +214,13 @@ def page_html(page: Page) -> str:
 
     blocks = [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
     drawings = [_drawn(block, i) for i, block in enumerate(blocks)]
-    return template("page.html.j2").render(
-        page=page,
-        anchors=_anchors(page),
-        next_drawn=iter(drawings).__next__,
-        css=_raw(_source("page.css")),
-        script=_raw(_source("page.js") + _source("linked.js")),
-        plotly=_raw(get_plotlyjs()) if drawings else "",
-    )
+    plotly = get_plotlyjs() if drawings else ""
+    return templates().get_template("page.html.j2").render(page=page, next_drawn=iter(drawings).__next__, plotly=plotly)
 
 
 def write_page(page: Page, path: str | Path) -> Path:
     """Write the page; see `page_html`. An earlier page at `path` is replaced atomically."""
     return write_text(path, page_html(page))
-
-
-def _source(name: str) -> str:
-    return (resources.files("aleator.reporting") / "templates" / name).read_text(encoding="utf-8")
-
-
-def _anchors(page: Page) -> list[str]:
-    """A link target for each section: its heading, with a number where another one has it too."""
-    found: list[str] = []
-    for section in page.sections:
-        anchor = re.sub(r"[^a-z0-9]+", "-", section.heading.lower()).strip("-") or "section"
-        repeats = sum(re.fullmatch(rf"{re.escape(anchor)}(-\d+)?", one) is not None for one in found)
-        found.append(f"{anchor}-{repeats + 1}" if repeats else anchor)
-    return found
 
 
 def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
@@ -250,19 +229,23 @@ def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
     panels = [_panel(one, f"{name}-{i}", block.heading, block.caption) for i, one in enumerate(block.figures)]
     if isinstance(block, Drawing):
         return {"name": name, "panels": panels}
+    paths = dict[str, list[Any]]()
+    every: list[Any] = [figure for choice in block.choices for figure in choice.bands]
+    for one in every:
+        paths.setdefault(one.layout.meta, []).append(one)
     bands = [
-        _panel(one, f"{name}-band-{i}", f"{block.heading}: {path} of the chosen design", "")
-        for i, (path, one) in enumerate(_stages(block).items())
+        _panel(_stage(figures), f"{name}-band-{i}", f"{block.heading}: {path} of the chosen design", "")
+        for i, (path, figures) in enumerate(paths.items())
     ]
     choices = [
         {
             "name": one.name,
             "facts": [{"caption": table.caption, "rows": table.rows, "note": table.note} for table in one.facts],
-            "bands": {_path_of(figure): _curves_and_limits(figure) for figure in one.bands},
+            "bands": dict(map(_band, one.bands)),
         }
         for one in block.choices
     ]
-    return {"name": name, "panels": panels, "bands": bands, "json": _json(choices)}
+    return {"name": name, "panels": panels, "bands": bands, "json": choices}
 
 
 def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str, Any]:
@@ -276,50 +259,26 @@ def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str,
         "title": title,
         "height": content["layout"].get("height", 420),
         "alt": ". ".join(part for part in (heading, title, caption) if part),
-        "json": _json(content),
+        "json": content,
     }
 
 
-def _stages(block: Linked) -> "Mapping[str, Figure]":
-    """A figure for each path of the choices, by its name, on axes that suit all of them."""
-    every: dict[str, list[Any]] = {}
-    for figure in (figure for one in block.choices for figure in one.bands):
-        every.setdefault(_path_of(figure), []).append(figure)
-    for name, (first, *others) in every.items():
-        times = [edge for one in (first, *others) for edge in ends(np.asarray(one.data[-1].x))]
-        reached = [edge for one in (first, *others) for edge in one.layout.yaxis.range]
-        stage = type(first)(first).update_xaxes(range=[min(times), max(times)])
-        every[name] = stage.update_yaxes(range=[min(reached), max(reached)])
-    return every  # type: ignore[return-value]
+def _stage(figures: Sequence[Any]) -> "Figure":
+    """An empty figure with axes that suit all of some figures of one path."""
+    traces = [one for figure in figures for one in figure.data]
+    times, values = (np.concatenate([np.asarray(one[axis], float) for one in traces]) for axis in ("x", "y"))
+    limits = [one.y0 for figure in figures for one in figure.layout.shapes]
+    stage = type(figures[0])(layout=figures[0].layout).update_xaxes(range=[times.min(), times.max()])
+    return stage.update_yaxes(range=padded([*values[np.isfinite(values)], *limits], 0.1))
 
 
-def _path_of(figure: Any) -> str:
-    return figure.layout.meta
-
-
-def _curves_and_limits(figure: Any) -> dict[str, Any]:
-    """What differs between the designs in the figure of a path."""
-    layout, traces = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
-    numbers = ("x", "y", "customdata")
-    curves = [{key: _rounded(one) if key in numbers else one for key, one in each.items()} for each in traces]
-    return {"data": curves, "layout": {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}}
-
-
-def _rounded(values: np.ndarray) -> list[float | None]:
-    """Numbers to a part of their range that is finer than a pixel; null where one is not finite."""
-    known = [*ends(values)]
-    wide = max(known, default=0.0) - min(known, default=0.0)
-    digits = math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
-    return [round(float(one), digits) if math.isfinite(one) else None for one in values]
-
-
-def _json(content: Any) -> Any:
-    """Data that a script element may hold."""
-    return _raw(json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
-
-
-def _raw(text: str) -> Any:
-    """Trusted text that the template inserts without escaping: our own styles and scripts, and JSON without any `<`."""
-    from markupsafe import Markup
-
-    return Markup(text)
+def _band(figure: Any) -> tuple[str, dict[str, Any]]:
+    """The name of a path, and what differs between the designs in its figure: limits, and curves at some instants."""
+    layout, curves = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
+    for curve in curves:
+        for key in {"x", "y", "customdata"} & curve.keys():
+            shown = np.linspace(0, len(curve[key]) - 1, min(len(curve[key]), _POINTS)).round().astype(int)
+            values = np.asarray(curve[key], float)[shown].tolist()
+            curve[key] = [float(f"{one:.{_DIGITS}g}") if math.isfinite(one) else None for one in values]
+    limits = {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}
+    return layout["meta"], {"data": curves, "layout": limits}

@@ -1,16 +1,17 @@
-"""The paths of a problem, with their limits; and figures over time: means with bands, and histories of systems."""
+"""Figures over time: the paths of a problem with their limits, means with bands, and histories of systems."""
 
+import functools
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, is_worst_case
-from aleator.reporting._numbers import given, share_text, unit_of_functional
+from aleator.reporting._numbers import given, share_text, unit_of_expression, unit_of_functional, unit_of_limit
 from aleator.reporting._style import (
     ALARM,
     CLOUD,
@@ -21,11 +22,10 @@ from aleator.reporting._style import (
     label,
     limit_line,
     looks,
-    padded,
     plain,
     short,
 )
-from aleator.solution import Moments, Motions
+from aleator.solution import Moments, Motions, Solution
 from aleator.validation import Evidence
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 _USUAL = 2.0
 # Systems drawn of many, and instants of theirs.
 _DRAWN, _SHOWN = 60, 350
+
+
+Drawn: TypeAlias = "dict[str, Callable[..., Figure]]"
 
 
 class Limits(NamedTuple):
@@ -65,19 +68,13 @@ def limits_of(problem: Problem, functional: AbstractFunctional) -> Limits:
         if functionals_of((limit.expression,)) != (functional,) or not _has_values_of_path(limit):
             continue
         multiple = limit.expression.sigmas or 0.0
+        which = f" at {multiple:.3g} σ" if multiple else " in the worst case" if is_worst_case(limit) else ""
         sigmas = max(sigmas, multiple)
         names.add(limit.name)
         for bound in (float(limit.lower), float(limit.upper)):
             if np.isfinite(bound):
-                texts[bound] = f"{limit.name}: {given(bound, unit)}{_systems_text(limit, multiple)}"
+                texts[bound] = f"{limit.name}: {given(bound, unit)}{which}"
     return Limits(texts, sigmas or _USUAL, names, unit)
-
-
-def _systems_text(limit: Constraint, multiple: float) -> str:
-    """For which systems a limit holds, in words."""
-    if multiple:
-        return f" at {multiple:.3g} σ"
-    return " in the worst case" if is_worst_case(limit) else ""
 
 
 def _has_values_of_path(limit: Constraint) -> bool:
@@ -141,37 +138,81 @@ def path_figure(
       `limits`: drawn as lines, with their names.
     """
     figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=380)
-    for name, strokes in histories.items():
-        _add_strokes(figure, times, name, strokes)
+    for name, (rows, colour, width) in histories.items():
+        # All curves are one trace with gaps; its legend entry is thick enough for the colour to be seen.
+        draw(figure, [None], [None], colour, name=name, mode="lines", line_width=4)
+        gap, along = np.full((len(rows), 1), np.nan), np.broadcast_to(times, rows.shape)
+        x, y_of_all = (short(np.hstack([part, gap]).ravel()) for part in (along, rows))
+        thin = {"line_width": width, "opacity": 0.7, "showlegend": False}
+        draw(figure, x, y_of_all, colour, name=name, mode="lines", hover=None, **thin)
     styles = looks(paths)
-    edges = [edge for strokes in histories.values() for edge in ends(strokes.rows)]
     for name, path in paths.items():
-        low, high = (path.mean + sign * sigmas * path.std for sign in (-1, 1))
         if name in ranges:
             add_band(figure, times, *ranges[name], styles[name].fill(0.08))
         if np.any(path.std):
+            low, high = (path.mean + sign * sigmas * path.std for sign in (-1, 1))
             add_band(figure, times, low, high, styles[name].fill(0.25))
-        edges += ends(low, high, *ranges.get(name, ()))
     for dash, (name, path) in zip(itertools.cycle(DASHES), paths.items(), strict=False):
         spread = f" ± {sigmas:.3g} σ" if np.any(path.std) else ""
-        hover = f"{plain(name)}: %{{y:.4~g}}, σ %{{customdata:.2~g}} {plain(unit)} at %{{x:.3f}} s"
-        shown = {"name": f"{name}{spread}", "customdata": short(path.std), "line_dash": dash, "hover": hover}
-        draw(figure, short(times), short(path.mean), styles[name], mode="lines", **shown)
+        shown = {"name": f"{name}{spread}", "line_dash": dash, "customdata": short(path.std)}
+        draw(figure, short(times), short(path.mean), styles[name], mode="lines", hover="σ: %{customdata:.2~g}", **shown)
     for bound, text in limits.items():
         limit_line(figure, bound, text)
-    figure.update_layout(showlegend=True)
-    return figure.update_yaxes(range=padded([*edges, *limits], 0.1))
+    return figure.update_layout(showlegend=True)
 
 
-def _add_strokes(figure: "Figure", times: np.ndarray, name: str, strokes: Strokes) -> None:
-    """Many curves as one trace, separated by gaps; its legend entry is thick enough for the colour to be seen."""
-    if not len(strokes.rows):
-        return
-    draw(figure, [None], [None], strokes.colour, name=name, mode="lines", line_width=4)
-    gap = np.full((len(strokes.rows), 1), np.nan)
-    x, y = (np.hstack([part, gap]).ravel() for part in (np.broadcast_to(times, strokes.rows.shape), strokes.rows))
-    shown = {"name": name, "line_width": strokes.width, "opacity": 0.7, "showlegend": False}
-    draw(figure, short(x), short(y), strokes.colour, mode="lines", **shown)
+def band_figure(solution: Solution, name: str, sigmas: float | None = None, title: str = "") -> "Figure":
+    """The mean of a path in the problem over time with its band, by default that of its limits, and these."""
+    functional = paths_of(solution.problem)[name]
+    limits, moments = limits_of(solution.problem, functional), solution.moments[functional.text()]
+    shown = {"sigmas": limits.sigmas if sigmas is None else sigmas, "unit": limits.unit, "limits": limits.texts}
+    paths = components(f"mean of {name}", moments.mean, moments.std)
+    return path_figure(solution.times_of(functional), paths, y=name, title=title, **shown)
+
+
+def limit_figure(solution: Solution, name: str, title: str = "") -> "Figure":
+    """What the limits of a name are on, such as mean + 2 σ, over time, with their bounds and where they are active."""
+    every = zip(solution.constraints, solution.problem.constraints, strict=True)
+    # Both sides of a limit, or limits on several paths, may have one name.
+    named = [(one, declared.expression) for one, declared in every if one.name == name and one.times is not None]
+    times, unit = np.asarray(named[0][0].times), unit_of_expression(named[0][1], solution.problem)
+    parts = [(one, str(text)) for one, text in named if np.array_equal(np.asarray(one.times), times)]
+    lines = [components(text, one.values, np.zeros_like(one.values)) for one, text in parts]
+    bounds = limits_text([bound for one, _ in parts for bound in (one.lower, one.upper)], unit)
+    paths = {text: line for each in lines for text, line in each.items()}
+    figure = path_figure(times, paths, y=name, unit=unit, limits=bounds, title=title)
+    active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
+    values = [np.reshape(one.values, where.shape)[where] for (one, _), where in zip(parts, active, strict=True)]
+    places = [np.repeat(times, where.sum(axis=1)) for where in active]
+    marks = {"name": "active", "mode": "markers", "marker_size": 8}
+    draw(figure, np.concatenate(places), np.concatenate(values), ALARM, **marks)
+    return figure
+
+
+def active_over_time(solution: Solution) -> set[str]:
+    """The names of the limits over time that are active."""
+    return {one.name for one in solution.constraints if one.times is not None and np.any(one.active)}
+
+
+def figures_over_time(
+    solution: Solution,
+) -> "tuple[dict[str, Callable[..., Figure]], dict[str, Callable[..., Figure]]]":
+    """What draws a design over time, by name: what is limited, active limits first; and other paths in the problem.
+
+    A limit is drawn with its path where it is on one alone.
+    """
+    problem, active = solution.problem, active_over_time(solution)
+    paths = paths_of(problem)
+    alone = {name: limits_of(problem, path).names for name, path in paths.items()}
+    together = {one.name: {one.name} for one in solution.constraints if one.times is not None}
+    together = {name: names for name, names in together.items() if name not in set().union(*alone.values())}
+    seen = functionals_of(tuple(one.expression for one in problem.constraints if one.name in together))
+    every = [(names, path, band_figure) for path, names in alone.items() if names]
+    every += [(names, name, limit_figure) for name, names in together.items()]
+    every.sort(key=lambda one: not one[0] & active)
+    limited = {name: functools.partial(figure, solution, name) for _, name, figure in every}
+    others = [name for name, path in paths.items() if not alone[name] and path not in seen]
+    return limited, {name: functools.partial(band_figure, solution, name) for name in others}
 
 
 def motion_figure(motions: Motions, *names: str, title: str = "") -> "Figure":
@@ -224,20 +265,17 @@ def bands_figure(
     ranges = {name: (rows.min(axis=0), rows.max(axis=0)) for name, rows in families.items()}
     texts = limits_text(limits, unit)
     figure = path_figure(times, moments, y=y, unit=unit, sigmas=1.0, ranges=ranges, limits=texts, title=title)
-    styles = looks(families)
     for name, target in targets.items():
         ring = {"marker_symbol": "circle-open", "marker_size": 12, "marker_line_width": 2, "cliponaxis": False}
-        hover = f"{plain(name)}, target: %{{y:.4~g}}"
-        draw(figure, [float(times[-1])], [target], styles[name], mode="markers", hover=hover, showlegend=False, **ring)
+        named = {"name": f"{name}, target", "mode": "markers", "showlegend": False}
+        draw(figure, [float(times[-1])], [target], looks(families)[name], **named, **ring)
     return figure
 
 
 def signal_figure(times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "") -> "Figure":
     """An input over time (figure 6.2)."""
-    figure = blank(label("Time", "s"), label(name, unit), height=300)
-    hover = f"%{{y:.4~g}} {plain(unit)} at %{{x:.3f}} s"
-    draw(figure, short(times), short(values), looks([name])[name], name=name, mode="lines", hover=hover, line_width=1.5)
-    return figure
+    figure = path_figure(times, {name: Moments(values, np.zeros_like(values))}, y=name, unit=unit)
+    return figure.update_layout(showlegend=False, height=300)
 
 
 def trajectory_figure(
@@ -245,54 +283,38 @@ def trajectory_figure(
     name: str,
     *,
     y: str = "",
-    unit: str = "",
+    unit: str | None = None,
     who: str = "systems",
     every: int | None = None,
 ) -> "Figure":
-    """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10).
+    """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10), in the unit
+    of these.
 
     The first 60 are drawn; those that violate any bound are highlighted. The title gives the share of all samples.
 
     - `every`: so many instants are drawn as one, by default so many that at most 350 remain.
     """
     sampled, solution = [one for one in evidence.trajectories if one.name == name], evidence.solution
+    unit = unit_of_limit(name, solution.problem) if unit is None else unit
     limits = (one for one in solution.problem.constraints if one.name == name and one.is_path)
     instants = next((solution.times_of(one) for one in limits), solution.instants)
     step = every or math.ceil(len(instants) / _SHOWN)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in sampled}.values()
     pairs = [curves(one.values[:_DRAWN, ::step], one.violating[:_DRAWN]) for one in values]
-    share = evidence.violations.get(name)
+    histories, share = dict[str, Strokes](), evidence.violations.get(name)
+    if pairs:
+        rows, broken = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        # All quantities have the same systems, which are counted once.
+        many, few = len(pairs[0][1]), int(pairs[0][1].sum())
+        histories[f"within the limits ({many - few} of {many} drawn)"] = Strokes(rows[~broken], CLOUD)
+        histories[f"violating ({few} of {many} drawn)"] = Strokes(rows[broken], ALARM, 0.9)
     return path_figure(
         instants[::step],
         {},
         y=y or name,
         unit=unit,
-        histories=_split(pairs) if pairs else {},
+        histories={name: strokes for name, strokes in histories.items() if len(strokes.rows)},
         limits=limits_text([bound for one in sampled for bound in (one.upper, one.lower)], unit),
         title="" if share is None else f"{share_text(share)} of {who} violate {name}",
     )
-
-
-def _split(
-    pairs: Sequence[tuple[Float[np.ndarray, "curves instants"], Bool[np.ndarray, " curves"]]],
-) -> dict[str, Strokes]:
-    """Curves of systems that keep limits, and of those that break them: with how many there are of the first quantity,
-    for all quantities have the same systems.
-    """
-    rows, broken = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    first = pairs[0][1]
-    inside, outside = (f"({int(np.sum(one))} of {len(first)} drawn)" for one in (~first, first))
-    return {
-        f"within the limits {inside}": Strokes(rows[~broken], CLOUD),
-        f"violating {outside}": Strokes(rows[broken], ALARM, 0.9),
-    }
-
-
-def ends(*values: np.ndarray) -> Iterator[float]:
-    """The least and the largest of the finite values."""
-    for one in values:
-        known = one[np.isfinite(one)]
-        if known.size:
-            yield float(known.min())
-            yield float(known.max())

@@ -10,13 +10,14 @@ import numpy as np
 
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
-from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
-from aleator.reporting._linked import disagreements, evidence_on, front_blocks, trade_off_blocks
-from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
+from aleator.reporting._fronts import evidence_on
+from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
+from aleator.reporting._numbers import units_of_moments, words
 from aleator.reporting._page import Block, Code, Drawing, Page, Section, Table, Text, Verdict, write_page
 from aleator.reporting._paths import trajectory_figure
+from aleator.reporting._solutions import mesh_drawing, search_drawings
 from aleator.reporting._spreads import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
@@ -162,8 +163,12 @@ def _motions(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
 
 def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
     """The chapters on sampled systems: over time, and counted."""
-    paths, counted = [*_trajectory_blocks(evidence)], [*_evidence_blocks(evidence)]
-    return Section("Trajectories", paths), Section("Evidence", counted)
+    told = "Sampled systems over time; those that violate a limit are highlighted."
+    paths = list[Drawing]()
+    for name, one in evidence.items():
+        for limit in dict.fromkeys(kept.name for kept in one.trajectories):
+            paths.append(Drawing([trajectory_figure(one, limit)], f"{limit} of {name}", told))
+    return Section("Trajectories", paths), Section("Evidence", [*_counted(evidence)])
 
 
 def trade_offs_section(
@@ -201,31 +206,21 @@ def whole_page(
     return Page(title, subtitle, verdict, [section for section in [*sections, *last] if section.blocks], footer)
 
 
-def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> Iterator[Drawing]:
-    """One drawing for each design and path constraint."""
-    told = "Sampled systems over time; those that violate a limit are highlighted."
-    for name, one in evidence.items():
-        for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            figure = trajectory_figure(one, limit, unit=unit_of_limit(limit, one.solution.problem))
-            yield Drawing([figure], f"{limit} of {name}", told)
-
-
-def _evidence_blocks(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
+def _counted(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
     for name, one in evidence.items():
         if not one.agrees:
             yield Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
     for name, one in evidence.items():
         if one.compared:
-            yield Text(
-                [each.sentence() for each in one.compared], lead=f"{name}: limits on statistics, by the samples."
-            )
+            sentences = [each.sentence() for each in one.compared]
+            yield Text(sentences, lead=f"{name}: limits on statistics, by the samples.")
     if evidence:
         yield evidence_table(evidence)
         yield from filter(None, [statistics_table(evidence)])
     told = "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems."
+    units = {text: unit for one in evidence.values() for text, unit in units_of_moments(one.solution.problem).items()}
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
         if not any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
-            unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
-            figure = percentile_figure(group, x=text, unit=unit)
+            figure = percentile_figure(group, x=text, unit=units.get(text, ""))
             yield Drawing([figure], f"Spread of {text} over random systems", told)

@@ -1,7 +1,8 @@
-"""Figures of spreads: densities against limits, percentiles, shares that break limits, bars, error against effort."""
+"""Figures of spreads: densities against limits, percentiles, shares, boxes of mean ± sigma, bars, error and effort."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import count, given, number, seconds, share_text
 from aleator.reporting._style import (
     ALARM,
+    DASHES,
     INK,
     MUTED,
     SIZE,
@@ -37,26 +39,24 @@ def percentile_figure(
 ) -> "Figure":
     """The sampled spread of one quantity for several designs: 1-99 %, 5-95 %, 25-75 %, the median and the mean."""
     figure = blank(label(x, unit), "", height=120 + 64 * len(sampled))
-    limits, ends = [] if limit is None else [limit], []
     for row, (name, one) in enumerate(sampled.items()):
-        levels, look, rows = one.percentiles, looks(sampled)[name], [plain(name)] * 2
+        levels, place = one.percentiles, plain(name)
         if levels is None:
             continue
-        ends += [levels[0], levels[-1]]
         for low, high, width, text in _BARS:
-            hover = f"<b>{rows[0]}</b>, {text}: {number(levels[low])} to {number(levels[high], 4)} {plain(unit)}"
-            bar = {"mode": "lines", "hover": hover, "line_width": width, "opacity": 0.55, "showlegend": False}
-            draw(figure, [levels[low], levels[high]], rows, look, **bar)
-        marks = (("median", levels[3], "line-ns", 16), ("mean", float(one.mean), "circle", 8))
-        for text, value, symbol, size in marks:
-            hover = f"<b>{rows[0]}</b>, {text}: {number(value)} {plain(unit)}"
+            bar = {"mode": "lines", "line_width": width, "opacity": 0.55, "showlegend": False}
+            named = {"name": f"{name}, {text}", "hover": f"{number(levels[low])} to {number(levels[high])}"}
+            draw(figure, [levels[low], levels[high]], [place] * 2, looks(sampled)[name], **named, **bar)
+        for text, value, symbol, size in (("median", levels[3], "line-ns", 16), ("mean", one.mean, "circle", 8)):
             mark = {"marker_size": size, "marker_line_width": 2, "marker_line_color": INK, "showlegend": row == 0}
-            named = {"name": text, "legendgroup": text, "mode": "markers", "hover": hover}
-            draw(figure, [value], rows[:1], Look(INK, symbol), **named, **mark)
+            named = {"name": text, "legendgroup": text, "mode": "markers", "hover": place}
+            draw(figure, [float(value)], [place], Look(INK, symbol), **named, **mark)
     if limit is not None:
         limit_line(figure, limit, f" limit {given(limit, unit)}", axis="x", upright=True)
-    figure.update_xaxes(range=padded([*ends, *limits]))
-    return figure.update_yaxes(type="category", range=[len(sampled) - (0.2 if limits else 0.5), -0.5], showgrid=False)
+    known = [level for one in sampled.values() if one.percentiles is not None for level in one.percentiles]
+    figure.update_xaxes(range=padded([*known, *([] if limit is None else [limit])]))
+    lowest = len(sampled) - (0.5 if limit is None else 0.2)
+    return figure.update_yaxes(type="category", range=[lowest, -0.5], showgrid=False)
 
 
 def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":
@@ -64,16 +64,13 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
     y = plain(f"{who.capitalize()} that violate {calibration.name} (%)")
     figure = blank("Margin a (multiples of σ)", y, height=380)
     trials = sorted(calibration.trials, key=lambda one: one.sigmas)
-    fresh = [] if calibration.confirmation is None else [calibration.confirmation]
+    dotted = {"mode": "markers+lines" if len(trials) > 1 else "markers", "line_width": 1, "line_dash": "dot"}
     sigmas, shares = [one.sigmas for one in trials], [one.violation for one in trials]
-    groups = (
-        ("trials, one sample for all", sigmas, shares, Look("#0072b2", "circle"), 8),
-        ("the choice, on fresh samples", [calibration.sigmas for _ in fresh], fresh, Look(ALARM, "star"), 14),
-    )
-    for name, places, each, look, size in groups:
-        marks = {"line_width": 1, "line_dash": "dot", "marker_size": size} if len(places) > 1 else {"marker_size": size}
-        mode = "markers+lines" if len(places) > 1 else "markers"
-        _draw_shares(figure, places, each, look, name=name, mode=mode, hover="a = %{x:.4~g}: %{text}", **marks)
+    named = {"name": "trials, one sample for all", "marker_size": 8}
+    _draw_shares(figure, sigmas, shares, Look("#0072b2", "circle"), **named, **dotted)
+    fresh = [] if calibration.confirmation is None else [calibration.confirmation]
+    named = {"name": "the choice, on fresh samples", "mode": "markers", "marker_size": 14}
+    _draw_shares(figure, [calibration.sigmas] * len(fresh), fresh, Look(ALARM, "star"), **named)
     limit_line(figure, 100 * calibration.target, f"target {given(100 * calibration.target)} %")
     return figure.update_yaxes(rangemode="tozero")
 
@@ -89,9 +86,8 @@ def shares_figure(
         raise ProblemError("plot.violations: expected a limit that single systems can break; received none.")
     figure = blank(plain(x), label(y, "%"), height=380)
     for name, look in looks(shares).items():
-        known = [(plain(place), one) for place, one in zip(places, shares[name], strict=True) if one is not None]
-        marks = {"mode": "markers", "hover": f"{plain(name)}, %{{x}}: %{{text}}", "cliponaxis": False}
-        _draw_shares(figure, [place for place, _ in known], [one for _, one in known], look, name=name, **marks)
+        known = {plain(place): one for place, one in zip(places, shares[name], strict=True) if one is not None}
+        _draw_shares(figure, [*known], [*known.values()], look, name=name, mode="markers", cliponaxis=False)
     figure.update_layout(showlegend=len(shares) > 1)
     figure.update_xaxes(type="category", categoryorder="array", categoryarray=[plain(place) for place in places])
     return figure.update_yaxes(rangemode="tozero")
@@ -99,14 +95,14 @@ def shares_figure(
 
 def _draw_shares(figure: "Figure", x: Sequence[Any], shares: Sequence[Share], look: Look, **style: Any) -> None:
     """Shares in percent, with their confidence intervals as error bars."""
-    y = [100 * one.estimate for one in shares]
     bars = {
         "type": "data",
         "array": [100 * (one.upper - one.estimate) for one in shares],
         "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
         **{"symmetric": False, "color": look.colour, "thickness": 1.5, "width": 4},
     }
-    draw(figure, x, y, look, error_y=bars, text=[plain(share_text(one)) for one in shares], **style)
+    over = {"text": [plain(share_text(one)) for one in shares], "hover": "%{text}"}
+    draw(figure, x, [100 * one.estimate for one in shares], look, error_y=bars, **over, **style)
 
 
 class Trial(NamedTuple):
@@ -125,8 +121,8 @@ def effort_figure(methods: Mapping[str, Sequence[Trial]], *, error: str, unit: s
     for name, look in looks(methods).items():
         trials = [one for one in methods[name] if one.error > 0]
         texts = [f"{plain(one.name)}: {count(one.calls)} calls, {seconds(one.seconds)}" for one in trials]
-        efforts, hover = [getattr(one, by) for one in trials], f"%{{text}}<br>error %{{y:.2e}} {plain(unit)}"
-        draw(figure, efforts, [one.error for one in trials], look, name=name, text=texts, hover=hover)
+        efforts, errors = [getattr(one, by) for one in trials], [one.error for one in trials]
+        draw(figure, efforts, errors, look, name=name, text=texts, hover="%{text}")
     return figure.update_xaxes(type="log").update_yaxes(type="log")
 
 
@@ -147,28 +143,22 @@ def density_figure(
     """
     figure = blank(label(x, unit), label("Density", _per(unit)), title=title, height=380)
     for name, look in looks(densities).items():
-        hover = f"{plain(name)}: %{{y:.3g}} at %{{x:.4g}} {plain(unit)}"
-        draw(figure, values, densities[name], look, name=name, mode="lines", hover=hover)
+        draw(figure, values, densities[name], look, name=name, mode="lines")
     if densities and len(limits) == 2:
         first = next(iter(densities.values()))
         filled = {"fill": "tozeroy", "fillcolor": ALARM, "opacity": 0.5, "line_width": 0, "showlegend": False}
         for side, limit in zip((-1, 1), limits, strict=True):
-            draw(figure, *_beyond(limit, side, values, first), ALARM, mode="lines", **filled)
+            # The limits need not be among the values.
+            beyond = np.sort(np.append(values[side * (values - limit) > 0], limit))
+            draw(figure, beyond, np.interp(beyond, values, first), ALARM, mode="lines", hover=None, **filled)
     for limit in limits:
         limit_line(figure, limit, f"limit {given(limit, unit)}", axis="x")
-    above = {"yref": "paper", "y": 0.98, "yanchor": "top", "showarrow": False}
+    above = {"yref": "y domain", "y": 0.98, "yanchor": "top", "showarrow": False}
     for text, limit, anchor, shift in zip(tails, limits, ("right", "left"), (-18, 6), strict=False):
         font, written = {"size": SIZE - 1, "color": ALARM}, "<br>".join(map(plain, text.splitlines()))
         figure.add_annotation(x=limit, text=written, xanchor=anchor, xshift=shift, font=font, **above)
     figure.update_xaxes(range=padded([*values[[0, -1]], *limits], 0.02))
     return figure.update_yaxes({"type": "log", "dtick": 2} if logarithmic else {"rangemode": "tozero"})
-
-
-def _beyond(limit: float, side: int, values: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The part of a density below (`side` -1) or above (1) a limit, which need not be among the values."""
-    chosen = values[side * (values - limit) > 0]
-    x = np.sort(np.append(chosen, limit)) if chosen.size else chosen
-    return x, np.interp(x, values, density)
 
 
 def _per(unit: str) -> str:
@@ -180,10 +170,62 @@ def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str 
     """Grouped bars: one colour for each group, one position for each name."""
     figure = blank("", label(y, unit), height=360)
     for name, look in looks(groups).items():
-        shown, hover = groups[name], f"{plain(name)}, %{{x}}: %{{y:.4g}} {plain(unit)}<extra></extra>"
+        shown = groups[name]
         texts = [number(value, 3) if value % 1 else count(int(value)) for value in shown.values()]
-        written = {"text": texts, "textposition": "outside", "cliponaxis": False, "hovertemplate": hover}
-        places, color = [plain(one) for one in shown], look.colour
-        figure.add_bar(x=places, y=list(shown.values()), name=plain(name), marker_color=color, **written)
+        written = {"text": texts, "textposition": "outside", "cliponaxis": False, "marker_color": look.colour}
+        figure.add_bar(x=[plain(one) for one in shown], y=[*shown.values()], name=plain(name), **written)
     figure.update_layout(barmode="group", bargap=0.35)
     return figure.update_yaxes(rangemode="tozero", linecolor=MUTED)
+
+
+@final
+@dataclass(frozen=True)
+class Axis:
+    """One requirement: its name and unit, and its limits by their labels."""
+
+    name: str
+    unit: str = ""
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+
+@final
+@dataclass(frozen=True)
+class Box:
+    """A design among requirements: the centre and the half-widths of its box, by the requirement's key.
+
+    `design` determines its look and its legend entry; `dash` its line style.
+    """
+
+    design: str
+    centre: Mapping[str, float]
+    half: Mapping[str, float]
+    dash: str = "solid"
+    note: str = ""
+
+
+def projection_figure(
+    boxes: Sequence[Box], across: str, up: str, axes: Mapping[str, Axis], *, height: int = 420
+) -> "Figure":
+    """Designs projected on the plane of two requirements (figures 6.6, 6.7 and 7.2)."""
+    keys, styles = (across, up), looks(dict.fromkeys(box.design for box in boxes))
+    figure = blank(*(label(axes[key].name, axes[key].unit) for key in keys), height=height)
+    for i, box in enumerate(boxes):
+        (x, y), (dx, dy) = ([part[key] for key in keys] for part in (box.centre, box.half))
+        look, group, spread = styles[box.design], plain(box.design), [box.note]
+        if dx > 0 or dy > 0:
+            corners = {"x0": x - dx, "x1": x + dx, "y0": y - dy, "y1": y + dy}
+            line = {"color": look.colour, "width": 1.8, "dash": box.dash}
+            filled = {"fillcolor": look.fill(0.07), "line": line, "layer": "below"}
+            figure.add_shape(type="rect", legendgroup=group, **corners, **filled)
+            spread += [f"{axes[key].name} ± {number(box.half[key], 3, axes[key].unit)}" for key in keys]
+        first = box.design not in [other.design for other in boxes[:i]]
+        marks = {"marker_size": 11, "marker_line_color": "white", "marker_line_width": 1, "mode": "markers"}
+        named = {"name": box.design, "legendgroup": group, "showlegend": first}
+        draw(figure, [x], [y], look, hover="<br>".join(map(plain, filter(None, spread))), **named, **marks)
+    for key, axis in ((across, "x"), (up, "y")):
+        limits = axes[key].limits
+        for i, (text, value) in enumerate(limits.items()):
+            limit_line(figure, value, text, axis=axis, dash=DASHES[i % len(DASHES)] if len(limits) > 1 else "dash")
+        ends = [box.centre[key] + side * box.half[key] for box in boxes for side in (-1, 1)]
+        figure.update_layout({f"{axis}axis_range": padded([*ends, *limits.values()])})
+    return figure

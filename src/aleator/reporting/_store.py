@@ -3,8 +3,6 @@ versions, machine, seeds, times and digests, by which a number can be traced to 
 """
 
 import hashlib
-import json
-import math
 import os
 import platform
 import uuid
@@ -17,11 +15,11 @@ import numpy as np
 
 from aleator.reporting._datasets import by_place, leaves, savable, tree
 from aleator.reporting._files import write_together
-from aleator.reporting._numbers import count, number, unit_of_decision, unit_of_expression, unit_of_objective
+from aleator.reporting._numbers import NOTHING, count, number, unit_of_decision, unit_of_expression, unit_of_objective
 from aleator.reporting._page import Block, Section, Table
-from aleator.solution import ConstraintResult, Solution
+from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
-from aleator.validation import Evidence, Proportion
+from aleator.validation import Evidence
 
 if TYPE_CHECKING:
     import xarray
@@ -75,23 +73,25 @@ def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
     for names, one in leaves(results):
         here = ": ".join(names)
         if isinstance(one, Solution):
-            yield [here, design_digest(one), one.effort.solver, "–", number(_time_of(one), 3)]
+            yield [here, design_digest(one), one.effort.solver, NOTHING, _seconds(one)]
         elif isinstance(one, Evidence):
             sample = [f"{count(one.samples)} fresh systems", str(one.seed), number(one.seconds, 3)]
             yield [here, design_digest(one.solution), *sample]
         elif isinstance(one, Calibration):
-            fresh = ["–", "–"] if one.evidence is None else [str(one.evidence.seed), number(one.evidence.seconds, 3)]
+            known = one.evidence
+            fresh = [NOTHING] * 2 if known is None else [str(known.seed), number(known.seconds, 3)]
             yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
         elif isinstance(one, Front | TradeOff) and one.solutions:
             together = _digest("".join(map(design_digest, one.solutions)).encode())
             solvers = ", ".join(dict.fromkeys(each.effort.solver for each in one.solutions))
-            time = number(sum(map(_time_of, one.solutions)), 3)
-            yield [here, together, f"{count(len(one.solutions))} designs: {solvers}", "–", time]
+            designs = f"{count(len(one.solutions))} designs: {solvers}"
+            yield [here, together, designs, NOTHING, _seconds(*one.solutions)]
 
 
-def _time_of(solution: Solution) -> float:
-    times = solution.effort.times
-    return times.compile_ + times.solve
+def _seconds(*solutions: Solution) -> str:
+    """How long solves took, with their compilations."""
+    times = [one.effort.times for one in solutions]
+    return number(sum(one.compile_ + one.solve for one in times), 3)
 
 
 def _digest(content: bytes) -> str:
@@ -163,24 +163,14 @@ def _write(
 
 def json_text(document: Any) -> str:
     """Strict, readable JSON: non-finite numbers become null."""
-    return json.dumps(strict(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    from pydantic_core import to_json
+
+    return to_json(document, indent=2, inf_nan_mode="null", fallback=_in_python).decode() + "\n"
 
 
-def strict(value: Any) -> Any:
-    """A value in JSON's own types."""
-    if isinstance(value, Mapping):
-        return {str(key): strict(one) for key, one in value.items()}
-    if isinstance(value, np.ndarray):
-        return strict(value.tolist())
-    if isinstance(value, list | tuple):
-        return [strict(one) for one in value]
-    if isinstance(value, np.generic):
-        return strict(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return strict(np.asarray(value))
+def _in_python(value: Any) -> Any:
+    """A mapping, or an array or a number of NumPy's or JAX's, in Python's own types."""
+    return dict(value) if isinstance(value, Mapping) else np.asarray(value).tolist()
 
 
 def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
@@ -212,21 +202,27 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "expression": str(problem.objective),
         },
         "active": solution.active,
+        # At their worst instants: histories are in the netCDF file.
         "constraints": [
-            _constraint(one, unit_of_expression(declared.expression, problem))
+            {
+                **_named(one, "name", "text", "lower", "upper", "violation", "shadow_price"),
+                "unit": unit_of_expression(declared.expression, problem),
+                "worst_value": one.worst,
+                "worst_time_s": one.worst_time,
+                "active": bool(np.any(one.active)),
+            }
             for one, declared in zip(solution.constraints, problem.constraints, strict=True)
         ],
         "certificate": {
-            **{name: getattr(certificate, name) for name in ("violation", "stationarity", "complementarity")},
-            **{name: getattr(solution.effort, name) for name in ("iterations", "evaluations", "solver")},
+            **_named(certificate, "violation", "stationarity", "complementarity"),
+            **_named(solution.effort, "iterations", "evaluations", "solver"),
             "search": None if solution.effort.searched is None else str(solution.effort.searched),
             "message": solution.message,
             "said": [f"{label}: {text}" for label, text in certificate.rows()],
         },
         "meshes": [str(one) for one in solution.meshes],
         "expansion": {
-            **{name: getattr(quality, name) for name in ("order", "terms", "points", "condition_number")},
-            "leave_one_out": quality.leave_one_out,
+            **_named(quality, "order", "terms", "points", "condition_number", "leave_one_out"),
             "leave_one_out_of_derivatives": quality.tangents,
         },
         "seconds": {"compile": solution.effort.times.compile_, "solve": solution.effort.times.solve},
@@ -242,28 +238,16 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
     """Evidence on one design: the share of fresh systems that break each limit, with its interval."""
-    shares = {name: _share(one) for name, one in evidence.violations.items()}
+    shares = {**evidence.violations, "any": evidence.joint}
+    parts = ("estimate", "lower", "upper", "confidence", "count")
     return {
-        "samples": evidence.samples,
-        "seed": evidence.seed,
-        "instants": evidence.instants,
-        "agrees": evidence.agrees,
+        **_named(evidence, "samples", "seed", "instants", "agrees"),
         "disagreements": [one.sentence() for one in evidence.disagreements],
         "compared": [one.sentence() for one in evidence.compared],
-        "violations": {**shares, "any": _share(evidence.joint)},
+        "violations": {limit: _named(share, *parts) for limit, share in shares.items()},
     }
 
 
-def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
-    """A constraint at its worst instant; histories are in the netCDF file."""
-    return {
-        **{name: getattr(one, name) for name in ("name", "text", "lower", "upper", "violation", "shadow_price")},
-        "unit": unit,
-        "worst_value": one.worst,
-        "worst_time_s": one.worst_time,
-        "active": bool(np.any(one.active)),
-    }
-
-
-def _share(share: Proportion) -> dict[str, float]:
-    return {name: getattr(share, name) for name in ("estimate", "lower", "upper", "confidence", "count")}
+def _named(one: Any, *names: str) -> dict[str, Any]:
+    """Attributes by their names."""
+    return {name: getattr(one, name) for name in names}

@@ -1,7 +1,6 @@
 """The style of all figures: colours that colour-blind readers can distinguish, one colour and marker per design."""
 
 import html
-import itertools
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -18,6 +17,8 @@ INK, MUTED, GRID, LIMIT, ALARM, CLOUD = "#1b2733", "#5b6875", "#e4e8ec", "#33404
 SIZE = 14
 # Characters along a vertical axis, also of a figure in the size of a paper's column.
 _LINE = 30
+# Pixels above and below the plot of a figure, for labels and legends.
+_GAP = 96
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 """Lines of boxes and limits that belong together."""
@@ -79,6 +80,7 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         "automargin": True,
         # Not "1µ" on an axis whose unit has a prefix of its own.
         "exponentformat": "power",
+        "hoverformat": ".5~g",
     }
     above = {"text": title, "font": {"size": SIZE + 2}, "x": 0, "xref": "paper"}
     above |= {"y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 10}, "automargin": True}
@@ -114,36 +116,28 @@ def stacked(figures: "Sequence[Figure]") -> "Figure":
 
     Those with the same label along the horizontal axis are zoomed together.
     """
-    first, *others = figures
-    if not others:
-        return first
-    margins = [one.layout.margin for one in figures]
-    heights = [one.layout.height - margin.t - margin.b for one, margin in zip(figures, margins, strict=True)]
-    gaps = [above.b + below.t for above, below in itertools.pairwise(margins)]
-    inner = sum(heights) + sum(gaps)
-    along = first.layout.xaxis.title.text
-    whole = blank("", "", title=first.layout.title.text or "", height=inner + margins[0].t + margins[-1].b)
-    tops = inner - np.cumsum([0, *np.add(heights[:-1], gaps)])
-    for i, (figure, top, height) in enumerate(zip(figures, tops, heights, strict=True)):
-        x, y, legend = (f"{kind}{i + 1 if i else ''}" for kind in ("x", "y", "legend"))
-        layout, low, high = figure.layout.to_plotly_json(), (top - height) / inner, top / inner
-        traces: Any = figure.data
-        alike = i and layout["xaxis"]["title"]["text"] == along
-        whole.layout[x.replace("x", "xaxis")] = layout["xaxis"] | {"anchor": y} | ({"matches": "x"} if alike else {})
-        whole.layout[y.replace("y", "yaxis")] = layout["yaxis"] | {"anchor": x, "domain": [low, high]}
-        whole.layout[legend] = layout["legend"] | {"y": high + 0.01, "yref": "paper", "yanchor": "bottom"}
-        axes = {"xaxis": x, "yaxis": y, "legend": legend}
-        whole.add_traces([one.to_plotly_json() | axes for one in traces])
-        for kind in ("shapes", "annotations"):
-            moved = [_moved(one, x, y) for one in layout.get(kind, ())]
-            whole.layout[kind] = (*whole.layout[kind], *moved)
+    from plotly.subplots import make_subplots
+
+    if len(figures) == 1:
+        return figures[0]
+    layouts: list[Any] = [one.layout for one in figures]
+    first, heights = layouts[0], [one.height - _GAP for one in layouts]
+    height = sum(one.height for one in layouts)
+    whole: Any = make_subplots(len(figures), 1, row_heights=heights, vertical_spacing=_GAP / (height - _GAP))
+    whole.update_layout(blank("", "", title=first.title.text or "", height=height).layout)
+    for row, (figure, layout) in enumerate(zip(figures, layouts, strict=True), start=1):
+        place, traces = {"row": row, "col": 1}, list[Any](figure.data)
+        alike = row > 1 and layout.xaxis.title.text == first.xaxis.title.text
+        whole.update_xaxes(layout.xaxis, matches="x" if alike else None, **place)
+        whole.update_yaxes(layout.yaxis, **place)
+        top, legend = next(whole.select_yaxes(**place)).domain[1], f"legend{row if row > 1 else ''}"
+        whole.layout[legend] = layout.legend.to_plotly_json() | legend_at(is_below=False) | {"y": top + 0.01}
+        whole.add_traces([trace.update(legend=legend) for trace in traces], row, 1)
+        for shape in layout.shapes:
+            whole.add_shape(shape, **place)
+        for note in layout.annotations:
+            whole.add_annotation(note, **place)
     return whole
-
-
-def _moved(drawn: dict[str, Any], x: str, y: str) -> dict[str, Any]:
-    """A line or a text of a figure, by the axes of another."""
-    xref, yref = (re.sub(f"^{axis}", to, drawn.get(f"{axis}ref", axis)) for axis, to in (("x", x), ("y", y)))
-    return drawn | {"xref": xref, "yref": yref}
 
 
 def _in_lines(text: str) -> str:
@@ -176,12 +170,13 @@ def draw(
     *,
     name: str = "",
     mode: str = "lines+markers",
-    hover: str = "",
+    hover: str | None = "",
     **style: Any,
 ) -> None:
-    """A curve, its markers or both, in the house style.
+    """A curve, its markers or both, in the house style. Over a point stand its name and its numbers, by the axes.
 
-    - `look`: its look, or its colour alone; `hover`: the text over a point, with Plotly's placeholders;
+    - `look`: its look, or its colour alone; `hover`: a further line over a point, with Plotly's placeholders; None for
+      nothing at all;
     - `style`: further properties of Plotly's scatter traces, such as `line_dash`, which precede those of the house.
     """
     known = look if isinstance(look, Look) else Look(look, "circle")
@@ -190,20 +185,22 @@ def draw(
         usual |= {"line_color": known.colour, "line_width": 2}
     if "markers" in mode:
         usual |= {"marker_color": known.colour, "marker_symbol": known.symbol, "marker_size": 9}
-    usual |= {"hovertemplate": f"{hover}<extra></extra>"} if hover else {"hoverinfo": "skip"}
+    if hover is None:
+        usual |= {"hoverinfo": "skip"}
+    else:
+        layout: Any = figure.layout
+        labels = {"x": layout.xaxis.title.text, "y": layout.yaxis.title.text}
+        numbers = [f"%{{{axis}axis.title.text}}: %{{{axis}}}" for axis, text in labels.items() if text]
+        lines = "<br>".join(filter(None, [name and "<b>%{fullData.name}</b>", *numbers, hover]))
+        usual |= {"hovertemplate": f"{lines}<extra></extra>"}
     figure.add_scatter(**(usual | style))
-
-
-def legend_entry(figure: "Figure", name: str, look: Look) -> None:
-    """A legend entry with the filled marker, whatever the first point's marker is."""
-    draw(figure, [None], [None], look, name=name, legendgroup=plain(name))
 
 
 def add_band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndarray, fill: str) -> None:
     """A filled band between two curves over time."""
     around, edges = np.concatenate([times, times[::-1]]), np.concatenate([high, low[::-1]])
     filled = {"fill": "toself", "fillcolor": fill, "line_width": 0, "showlegend": False}
-    draw(figure, short(around), short(edges), fill, mode="lines", **filled)
+    draw(figure, short(around), short(edges), fill, mode="lines", hover=None, **filled)
 
 
 def limit_line(
@@ -215,24 +212,25 @@ def limit_line(
     dash: str = "dash",
     upright: bool = False,
     under: bool = False,
-    logarithmic: bool = False,
 ) -> None:
     """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
     The name of a vertical limit is written along it, or `upright` beside its foot; that of a horizontal one above it,
-    or `under` it, as always where it is negative. On a `logarithmic` axis Plotly places texts by exponents, but lines
-    by values.
+    or `under` it, as always where it is negative.
     """
-    line = {"line_color": LIMIT, "line_width": 1.3, "line_dash": dash}
-    font = {"font_size": SIZE - 1, "font_color": LIMIT, "bgcolor": "rgba(255,255,255,0.8)"}
-    note = {"text": plain(text), "showarrow": False, axis: float(np.log10(value)) if logarithmic else value, **font}
+    # As by `add_hline` and `add_vline`, which take plotly a hundred times as long.
+    across = "x" if axis == "y" else "y"
+    ends = {f"{across}ref": f"{across} domain", f"{across}0": 0, f"{across}1": 1, f"{axis}0": value, f"{axis}1": value}
+    figure.add_shape(type="line", line={"color": LIMIT, "width": 1.3, "dash": dash}, **ends)
     if axis == "y":
-        # As by `add_hline` and `add_vline`, which take plotly a hundred times as long.
-        figure.add_shape(type="line", xref="x domain", x0=0, x1=1, yref="y", y0=value, y1=value, **line)
-        anchor = "top" if under or value < 0 else "bottom"
-        figure.add_annotation(xref="paper", x=1, xanchor="right", yanchor=anchor, **note)
+        place = {"x": 1, "xanchor": "right", "yanchor": "top" if under or value < 0 else "bottom"}
+    elif upright:
+        place = {"y": 0.0, "xanchor": "left", "yanchor": "bottom"}
     else:
-        figure.add_shape(type="line", xref="x", x0=value, x1=value, yref="y domain", y0=0, y1=1, **line)
         # Above the foot of a density, which is low at its limits.
-        turned = {"xanchor": "left", "y": 0.0} if upright else {"xanchor": "right", "y": 0.3, "textangle": -90}
-        figure.add_annotation(yref="paper", yanchor="bottom", **turned, **note)
+        place = {"y": 0.3, "xanchor": "right", "yanchor": "bottom", "textangle": -90}
+    # On a logarithmic axis Plotly places texts by exponents, but lines by values.
+    layout: Any = figure.layout
+    at = float(np.log10(value)) if layout[f"{axis}axis"].type == "log" else value
+    place |= {axis: at, f"{across}ref": f"{across} domain", "showarrow": False, "bgcolor": "rgba(255,255,255,0.8)"}
+    figure.add_annotation(text=plain(text), font={"size": SIZE - 1, "color": LIMIT}, **place)

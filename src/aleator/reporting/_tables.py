@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from aleator.nlp import Status
 from aleator.reporting._numbers import (
     NOTHING,
     count,
@@ -23,24 +22,17 @@ from aleator.reporting._numbers import (
 )
 from aleator.reporting._page import Table
 from aleator.solution import Solution
+from aleator.sweep import Refused
 from aleator.validation import Evidence
 
 # Numbers of an array that are listed at most.
 _LISTED = 6
 
-STATUS_WORDS = {
-    Status.SOLVED: "solved",
-    Status.INFEASIBLE: "infeasible",
-    Status.ITERATION_LIMIT: "iteration limit",
-    Status.EVALUATION_FAILED: "model failed",
-    Status.INTERRUPTED: "interrupted",
-    Status.FAILED: "not solved",
-}
 
-
-def status_words(solution: Solution) -> str:
+def status_words(point: Solution | Refused) -> str:
     """How a solve ended, or what its certificate says against its answer."""
-    return STATUS_WORDS[solution.status] if solution.objection is None else solution.objection.phrase
+    objection = point.objection if isinstance(point, Solution) else None
+    return point.status.value.partition(":")[0] if objection is None else objection.phrase
 
 
 def side_by_side(caption: str, columns: Mapping[str, Mapping[str, str]], note: str = "") -> Table:

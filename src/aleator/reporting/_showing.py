@@ -13,7 +13,7 @@ from aleator.design import Problem, problem_rows
 from aleator.dynamics import AbstractSystem
 from aleator.mechanics import AbstractMechanical
 from aleator.reporting._numbers import given
-from aleator.reporting._page import Table, template
+from aleator.reporting._page import Table, templates
 from aleator.uncertainty import AbstractDecision, AbstractDistribution, fields_of
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class AbstractPlots(Generic[Result]):
 @functools.singledispatch
 def plots_of(result: Any) -> AbstractPlots[Any]:
     """The figures of a result, by its type."""
-    raise refusal("plot", "a result whose figures are known to aleator.reporting.drawn", result)
+    raise refusal("plot", "a result whose figures are registered", result)
 
 
 def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str) -> tuple[str, Value]:
@@ -91,7 +91,7 @@ def page_of(result: Any) -> str:
     except Exception:
         # A notebook would show the trace of this in the place of the result, which can be printed all the same.
         facts = Facts(type(result).__name__)
-    return template("notebook.html.j2").render(facts=facts, printed=str(result))
+    return templates().get_template("notebook.html.j2").render(facts=facts, printed=str(result))
 
 
 @facts_of.register(AbstractMechanical)

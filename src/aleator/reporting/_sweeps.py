@@ -1,4 +1,4 @@
-"""Figures and facts of sweeps: fronts, trade-offs, calibrations, penalties, many starts, portfolios, cross-checks."""
+"""Figures, tables and facts of other sweeps: trade-offs, calibrations, penalties, starts, portfolios, cross-checks."""
 
 import html
 from typing import TYPE_CHECKING
@@ -6,28 +6,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.nlp import Searched
-from aleator.reporting._designs import search_figure
-from aleator.reporting._fronts import (
-    bound_unit,
-    front_figure,
-    in_order,
-    pair_figure,
-    shadow_price_figure,
-    unit_of,
-    wishes_text,
-)
-from aleator.reporting._linked import front_table, trade_off_table
+from aleator.reporting._fronts import decided_in, numbers_in
 from aleator.reporting._numbers import (
     given,
     number,
     percent,
     share_text,
-    unit_of_decision,
+    unit_of_expression,
     unit_of_objective,
     words,
 )
 from aleator.reporting._page import Table
+from aleator.reporting._showing import AbstractPlots, Facts, facts_of, plots_of, unknown
+from aleator.reporting._solutions import search_figure
 from aleator.reporting._spreads import bars_figure, calibration_figure
 from aleator.reporting._style import (
     ALARM,
@@ -42,55 +33,45 @@ from aleator.reporting._style import (
     label,
     limit_line,
     looks,
-    padded,
     plain,
 )
-from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
-from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Starts, TradeOff
+from aleator.sweep import Calibration, CrossChecked, Hardened, Portfolio, Starts, TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 # Relative differences below this are drawn there: on a logarithmic axis, zero has no place.
 _LEAST = 1e-16
-_EMPTY = "expected a solved design; received none"
+# Objectives with a smaller relative difference belong to one optimum, and have to look alike.
+_ALIKE = 1e-4
+
+# --- Trade-offs between wishes ---------------------------------------------------------------------------------------
 
 
-@plots_of.register(Front)
-class FrontPlots(AbstractPlots[Front]):
-    """Figures of a front along a bound."""
+def _units(front: TradeOff) -> list[str]:
+    """The units of the wishes; empty where they are unknown."""
+    known = front.solutions[0].problem if front.solutions else None
+    return ["" if known is None else unit_of_expression(wish, known) for wish in front.wishes]
 
-    def curve(self) -> "Figure":
-        """The optimum against the bound: filled where it is active; crosses where there is no design."""
-        return front_figure({"design": self._solved("plot.curve")})
 
-    def shadow_prices(self) -> "Figure":
-        """By what the optimum falls for each unit by which the bound is relaxed."""
-        return shadow_price_figure({"design": self._solved("plot.shadow_prices")})
+def _labels(front: TradeOff) -> list[str]:
+    return [label(name, unit) for name, unit in zip(front.names, _units(front), strict=True)]
 
-    def decision(self, name: str | None = None) -> "Figure":
-        """A decision against the bound, of an array each entry; by default the first."""
-        (front, _) = in_order({"": self._solved("plot.decision")})[""]
-        problem, nothing = front.solutions[0].problem, "expected a decision; received none."
-        name, place = chosen("plot.decision", name, problem.placements.designed, nothing)
-        unit = unit_of_decision(name, problem)
-        figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
-        shape = np.shape(place.decision.initial)
-        entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
-        missing = np.full(len(entries), np.nan)
-        rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
-        for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
-            hover = f"{plain(entry)} = %{{y:.5~g}} {plain(unit)} at %{{x:.4~g}}"
-            draw(figure, front.values, column, look, name=entry, hover=hover, marker_size=8)
-        return figure.update_layout(showlegend=len(entries) > 1)
 
-    def _solved(self, what: str) -> Front:
-        """The front. Raises `ProblemError` if it has no design."""
-        front = self._result
-        if not front.solved.any():
-            why = f": {front.points[0].why()}" if front.points else "."
-            raise ProblemError(f"{what}: {_EMPTY}{why}")
-        return front
+def _texts(front: TradeOff) -> list[str]:
+    """The numbers of each design, to be shown over its point."""
+    wishes, units = [label(name) for name in front.names], _units(front)
+    rows = [[number(float(value), 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
+    return ["<br>".join(f"{name}: {text}" for name, text in zip(wishes, row, strict=True)) for row in rows]
+
+
+def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
+    """Two wishes, by their places among `front.names`, against one another."""
+    figure = blank(*(_labels(front)[i] for i in (first, second)))
+    look, (x, y) = looks(["design"])["design"], (front.values[:, i] for i in (first, second))
+    line = {"line_color": look.fill(0.4), "line_width": 1.5} if len(front.names) == 2 else {"mode": "markers"}
+    draw(figure, x, y, look, hover="%{text}", text=_texts(front), meta=list(range(len(x))), **line)
+    return figure.update_layout(showlegend=False)
 
 
 @plots_of.register(TradeOff)
@@ -122,28 +103,20 @@ class TradeOffPlots(AbstractPlots[TradeOff]):
         figure = blank("", "", height=560)
         x, y, z = front.values.T
         marker = {"size": 5, "color": z, "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}}
-        over = {"text": wishes_text(front), "hovertemplate": "%{text}<extra></extra>"}
+        over = {"text": _texts(front), "hovertemplate": "%{text}<extra></extra>"}
         figure.add_scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, **over)
         # There Plotly reads markup but no escaped characters.
-        labels = [html.unescape(label(name, unit_of(front, i))) for i, name in enumerate(front.names)]
-        axes = {
-            f"{axis}axis": {
-                "title": {"text": text.replace("<", "‹").replace(">", "›")},
-                **{"gridcolor": GRID, "linecolor": MUTED, "showbackground": False},
-            }
-            for axis, text in zip("xyz", labels, strict=True)
-        }
+        titles = [html.unescape(text).replace("<", "‹").replace(">", "›") for text in _labels(front)]
+        shown = {"gridcolor": GRID, "linecolor": MUTED, "showbackground": False}
+        axes = {f"{axis}axis": {"title": {"text": text}} | shown for axis, text in zip("xyz", titles, strict=True)}
         return figure.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
 
     def parallel(self) -> "Figure":
         """One axis for each wish, and one line for each design."""
         front = self._solved("plot.parallel")
-        figure = blank("", "", height=420)
-        figure.add_parcoords(
-            dimensions=[
-                {"label": label(name, unit_of(front, i)), "values": column}
-                for i, (name, column) in enumerate(zip(front.names, front.values.T, strict=True))
-            ],
+        columns = zip(_labels(front), front.values.T, strict=True)
+        figure = blank("", "").add_parcoords(
+            dimensions=[{"label": text, "values": column} for text, column in columns],
             line={"color": front.values[:, 0], "colorscale": "Cividis"},
             labelfont={"size": SIZE, "family": FONT, "color": INK},
         )
@@ -153,8 +126,47 @@ class TradeOffPlots(AbstractPlots[TradeOff]):
     def _solved(self, what: str) -> TradeOff:
         if not len(self._result.values):
             why = f": {'; '.join(self._result.failed)}" if self._result.failed else "."
-            raise ProblemError(f"{what}: {_EMPTY}{why}")
+            raise ProblemError(f"{what}: expected a solved design; received none{why}")
         return self._result
+
+
+def trade_off_table(front: TradeOff) -> Table:
+    """A row for each design of a trade-off: its wishes, then its decisions."""
+    decided = numbers_in(front.solutions[0].problem) if front.solutions else []
+    units = _units(front)
+    rows = [
+        [*(number(float(value), 5, unit) for value, unit in zip(row, units, strict=True)), *decided_in(one, decided)]
+        for row, one in zip(front.values, front.solutions, strict=True)
+    ]
+    return Table("", [*front.names, *decided], rows)
+
+
+def rates_of(front: TradeOff, place: int) -> dict[str, str]:
+    """By how much each other wish falls for one unit more of the first one, as long as changes are small.
+
+    At the best design of a wish the front ends: its multipliers need not be the slope of what is left of the front, and
+    the wish may not give way at all.
+    """
+    values = front.values
+    if np.any(values[place] <= values.min(axis=0)):
+        return {"Rates of exchange": "none at an end of the front"}
+    (first, *others), units = front.weights[place], _units(front)
+    buys = [
+        f"{number(first / weight, 4, units[i])} less of {front.names[i]}"
+        for i, weight in enumerate(others, start=1)
+        if weight > 0 and np.isfinite(first)
+    ]
+    return {f"Each {units[0] or 'unit'} more of {front.names[0]} buys": " or ".join(buys)} if buys else {}
+
+
+@facts_of.register(TradeOff)
+def _(front: TradeOff) -> Facts:
+    failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
+    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
+    return Facts(f"Trade-off of {words(list(front.names))}: {designs}", failed, [trade_off_table(front)])
+
+
+# --- Margins, penalties and starts ------------------------------------------------------------------------------------
 
 
 @plots_of.register(Calibration)
@@ -172,31 +184,14 @@ class HardenedPlots(AbstractPlots[Hardened]):
 
     def excesses(self) -> "Figure":
         """The excess of each constraint against the weight of its penalty, and the one accepted."""
-        hardened = self._result
+        hardened, powers = self._result, {"type": "log", "dtick": 1}
         figure = blank(label("Weight of the penalties"), label("Excess over the limit, relative"))
+        figure.update_layout(showlegend=True, xaxis=powers, yaxis=powers)
         for name, look in looks(hardened.excesses[0]).items():
             excesses = [one[name] if one[name] > 0 else None for one in hardened.excesses]
-            hover = f"{plain(name)}: %{{y:.2~e}} at weight %{{x:.4~g}}"
-            draw(figure, list(hardened.weights), excesses, look, name=name, hover=hover)
-        limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}", logarithmic=True)
-        powers = {"type": "log", "exponentformat": "power", "dtick": 1}
-        return figure.update_layout(showlegend=True).update_xaxes(powers).update_yaxes(powers)
-
-
-@facts_of.register(Front)
-def _(front: Front) -> Facts:
-    solved, every = int(front.solved.sum()), len(front.points)
-    heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
-    points = zip(front.values, front.points, strict=True)
-    reasons = [f"No design at {given(value, bound_unit(front))}: {one.why()}" for value, one in points if not one.ok]
-    return Facts(heading, " ".join(reasons), [front_table({"": front})])
-
-
-@facts_of.register(TradeOff)
-def _(front: TradeOff) -> Facts:
-    failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
-    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
-    return Facts(f"Trade-off of {words(list(front.names))}: {designs}", failed, [trade_off_table(front)])
+            draw(figure, list(hardened.weights), excesses, look, name=name)
+        limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}")
+        return figure
 
 
 @facts_of.register(Calibration)
@@ -218,10 +213,6 @@ def _(hardened: Hardened) -> Facts:
     return Facts(heading, "", [Table("", ["weight", "objective", "excess"], rows)])
 
 
-# Objectives with a smaller relative difference belong to one optimum.
-_ALIKE = 1e-4
-
-
 @plots_of.register(Starts)
 class StartsPlots(AbstractPlots[Starts]):
     """Figures of a problem solved from many starts."""
@@ -231,25 +222,15 @@ class StartsPlots(AbstractPlots[Starts]):
         every = self._result.solutions
         figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
         solved, failed = (sorted(one.objective for one in every if one.ok == ok) for ok in (True, False))
-        groups = (
-            ("solved", solved, 1, looks(["solved"])["solved"]),
-            ("failed", failed, 1 + len(solved), Look(ALARM, "x")),
-        )
-        for name, values, first, look in groups:
-            if values:
-                places = first + np.arange(len(values))
-                draw(figure, places, values, look, name=name, mode="markers", hover=f"{name}: %{{y:.6g}}")
-        figure.update_yaxes(range=_range([*solved, *failed]))
+        draw(figure, 1 + np.arange(len(solved)), solved, looks(["solved"])["solved"], name="solved", mode="markers")
+        if failed:
+            places = 1 + len(solved) + np.arange(len(failed))
+            draw(figure, places, failed, Look(ALARM, "x"), name="failed", mode="markers")
+        known = [one for one in (*solved, *failed) if np.isfinite(one)]
+        size = max(map(abs, known), default=0.0)
+        if known and np.ptp(known) <= _ALIKE * size:
+            figure.update_yaxes(range=[min(known) - 0.1 * size, max(known) + 0.1 * size])
         return figure.update_layout(showlegend=bool(failed))
-
-
-def _range(values: list[float]) -> list[float]:
-    """A range around all objectives; where they belong to one optimum, so wide that they look alike."""
-    known = [one for one in values if np.isfinite(one)]
-    size = max(map(abs, known), default=0.0)
-    if known and max(known) - min(known) > _ALIKE * size:
-        return padded(known)
-    return padded([*known, *([known[0] - 0.1 * size, known[0] + 0.1 * size] if known else [])])
 
 
 @plots_of.register(Portfolio)
@@ -262,25 +243,15 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
         places = [f"{i + 1}: {number(one.objective, 5, unit)}" for i, one in enumerate(self._result.optima)]
         if not places:
             raise ProblemError(f"plot.optima: expected an optimum; received none: {self._result.best.why()}")
-        groups = {
-            "starts": dict(zip(places, (float(one.starts) for one in self._result.optima), strict=True)),
-            "of these random": dict(zip(places, (float(one.random) for one in self._result.optima), strict=True)),
-        }
+        by_kind = {"starts": "starts", "of these random": "random"}
+        optima = list(zip(places, self._result.optima, strict=True))
+        groups = {kind: {place: float(getattr(one, key)) for place, one in optima} for kind, key in by_kind.items()}
         figure = bars_figure(groups, y="Starts that led there")
         return figure.update_xaxes(title_text="Objective of each optimum, best first")
 
     def search(self) -> "Figure":
         """What the global search evaluated."""
         return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
-
-
-@plots_of.register(Searched)
-class SearchedPlots(AbstractPlots[Searched]):
-    """The figure of a search."""
-
-    def search(self) -> "Figure":
-        """The objective of every point evaluated, in order, and the best so far."""
-        return search_figure(self._result)
 
 
 @plots_of.register(CrossChecked)
@@ -299,14 +270,14 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
         groups = {kind: each for kind, each in groups.items() if each}
         rows = sum(map(len, groups.values()))
         figure = blank(label("Relative difference"), "", height=130 + 34 * rows)
+        figure.update_layout(showlegend=True, xaxis={"type": "log", "dtick": 2})
         for kind, look in looks(groups).items():
-            values, names = groups[kind].values(), [plain(name) for name in groups[kind]]
-            places = [max(size, _LEAST) if np.isfinite(size) else None for size in values]
-            texts = [f"{size:.1e}" for size in values]
-            draw(figure, places, names, look, name=kind, mode="markers", text=texts, hover="%{y}: %{text}")
-        limit_line(figure, one.tolerance, f"accepted: {given(one.tolerance)}", axis="x", logarithmic=True)
-        figure.update_layout(showlegend=True).update_xaxes(type="log", exponentformat="power", dtick=2)
-        return figure.update_yaxes(type="category", range=[rows - 0.5, -0.5])
+            sizes = {plain(name): size for name, size in groups[kind].items()}
+            places = [max(size, _LEAST) if np.isfinite(size) else None for size in sizes.values()]
+            texts = [f"{name}: {size:.1e}" for name, size in sizes.items()]
+            draw(figure, places, [*sizes], look, name=kind, mode="markers", text=texts, hover="%{text}")
+        limit_line(figure, one.tolerance, f"accepted: {given(one.tolerance)}", axis="x")
+        return figure.update_yaxes(type="category", autorange="reversed")
 
 
 @facts_of.register(Starts)

@@ -1,6 +1,6 @@
-"""Figures and facts of solutions: paths, histories of simulated systems, decisions, states, costates, switching."""
+"""Figures and facts of solutions: what they decide, over time and between bounds, and how they came about."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -11,45 +11,51 @@ from aleator._core.arrays import jax_array
 from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
 from aleator.design import history
-from aleator.reporting._designs import mesh_figure, search_figure
+from aleator.nlp import Searched
 from aleator.reporting._numbers import (
+    count,
     given,
     number,
+    residual,
     unit_of_decision,
-    unit_of_expression,
     unit_of_objective,
     units_of_outputs,
 )
+from aleator.reporting._page import Drawing
 from aleator.reporting._paths import (
-    components,
+    active_over_time,
+    band_figure,
+    figures_over_time,
     histories_figure,
+    limit_figure,
     limits_of,
-    limits_text,
     motion_figure,
-    path_figure,
     paths_of,
 )
-from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain, stacked
+from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
+from aleator.reporting._style import (
+    ALARM,
+    LIMIT,
+    MUTED,
+    SIZE,
+    Look,
+    blank,
+    draw,
+    label,
+    limit_line,
+    looks,
+    padded,
+    plain,
+    short,
+    stacked,
+)
 from aleator.reporting._tables import design_rows, side_by_side, status_words
-from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.solving import simulate_systems
 from aleator.uncertainty import AbstractDecision, placements
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-
-def _over_time(solution: Solution) -> Mapping[str, str]:
-    """Which of the outputs, inputs and states of a system each is, by name. Raises `ProblemError` without time."""
-    problem = solution.problem
-    if not problem.system.has_time:
-        raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
-    germ = jax_array(np.zeros(len(problem.placements.germs)))
-    outputs = jax.eval_shape(lambda: history(problem, germ, jax_array(solution.vector)))
-    others = dict.fromkeys(getattr(problem.system, "states", ()), "states") | dict.fromkeys(problem.inputs, "inputs")
-    return {**dict.fromkeys(outputs, "outputs"), **{name: kind for name, kind in others.items() if name not in outputs}}
-
 
 _NO_STATE = "expected states that are variables of the program; received a system without states."
 # What each quantity of all realisations is called in its figure, and what is said where there is none.
@@ -104,10 +110,8 @@ _NO_PATH = (
     "expected a path in the objective or in a limit, such as al.path('x'); received a problem without one. "
     "plot.histories simulates any output."
 )
-_NO_OUTPUT = "expected a system with outputs; received one without."
 # The limits over time that one figure has room for.
 _LIMITS = 6
-_SIMULATED = "expected a solution by al.Simultaneous(); received one whose states were simulated: see plot.histories."
 
 
 @plots_of.register(Solution)
@@ -120,8 +124,9 @@ class SolutionPlots(AbstractPlots[Solution]):
 
         At most six limits over time are drawn; without any, the first path in the problem.
         """
-        limited = self._limited() or ([self.band()] if paths_of(self._result.problem) else [])
-        parts = [*self._inputs(), *limited]
+        limited, others = figures_over_time(self._result)
+        paths = [*limited.values()][:_LIMITS] or [*others.values()][:1]
+        parts = [*self._inputs(), *(figure(title=self._warning()) for figure in paths)]
         return stacked([*parts, self.decisions()] if self._between_bounds() or not parts else parts)
 
     def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
@@ -130,20 +135,12 @@ class SolutionPlots(AbstractPlots[Solution]):
         - `output`: of a path in the problem, by default one with an active limit, else the first; `sigmas`: by default
           as in its limits, else 2.
         """
-        problem, known = self._result.problem, paths_of(self._result.problem)
+        known = paths_of(self._result.problem)
         if known and output is not None and not (isinstance(output, str) and output in known):
             raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
-        name, functional = chosen("plot.band", self._held_path() if output is None else output, known, _NO_PATH)
-        limits, moments = limits_of(problem, functional), self._result.moments[functional.text()]
-        return path_figure(
-            self._result.times_of(functional),
-            components(f"mean of {name}", moments.mean, moments.std),
-            sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
-            y=name,
-            unit=limits.unit,
-            limits=limits.texts,
-            title=self._warning(),
-        )
+        name, _ = chosen("plot.band", self._held_path() if output is None else output, known, _NO_PATH)
+        sigmas = None if sigmas is None else positive("plot.band: sigmas", sigmas)
+        return band_figure(self._result, name, sigmas, self._warning())
 
     def histories(self, output: str | None = None, *, samples: int = 50, seed: int = 0) -> "Figure":
         """Any output of the system over time, simulated anew on random systems, with its limits; or an input or a
@@ -157,39 +154,27 @@ class SolutionPlots(AbstractPlots[Solution]):
         samples, seed = whole("plot.histories: samples", samples), whole("plot.histories: seed", seed, least=0)
         usual = paths.get(self._held_path() or next(iter(paths), ""))
         output = usual.output if output is None and usual is not None else output
-        name, kind = chosen("plot.histories", output, _over_time(self._result), _NO_OUTPUT)
-        unit, is_random = units_of_outputs(problem).get(name, ""), kind == "outputs" and bool(problem.placements.germs)
+        nothing = "expected a system with outputs; received one without."
+        name, kind = chosen("plot.histories", output, self._over_time(), nothing)
+        is_random = kind == "outputs" and bool(problem.placements.germs)
         motions = simulate_systems(self._result, samples, seed=seed) if is_random else getattr(self._result, kind)
         limited = paths.get(name)
-        limits = {} if limited is None or limited.output != name else limits_of(problem, limited).texts
-        who = "random systems" if is_random else "systems"
-        shown = {"unit": unit, "limits": limits, "title": self._warning(), "who": who}
-        return histories_figure(np.asarray(motions.times_of(name)), motions.systems[name], y=name, **shown)
+        shown: dict[str, Any] = {"who": "random systems" if is_random else "systems", "title": self._warning()}
+        if limited is not None and limited.output == name:
+            shown["limits"] = limits_of(problem, limited).texts
+        unit = units_of_outputs(problem).get(name, "")
+        return histories_figure(np.asarray(motions.times_of(name)), motions.systems[name], y=name, unit=unit, **shown)
 
     def limit(self, name: str | None = None) -> "Figure":
         """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one
         that is active, else the first.
         """
-        every = zip(self._result.constraints, self._result.problem.constraints, strict=True)
-        pairs = [(one, declared) for one, declared in every if one.times is not None]
-        over_time = {one.name: declared.expression for one, declared in pairs}
-        nothing, first = "expected a limit over time; received a problem without one.", next(iter(self._active()), None)
-        name, expression = chosen("plot.limit", first if name is None else name, over_time, nothing)
-        unit = unit_of_expression(expression, self._result.problem)
-        # Both sides of a limit, or limits on several paths, may have one name.
-        named = [(one, str(declared.expression)) for one, declared in pairs if one.name == name]
-        times = np.asarray(named[0][0].times)
-        parts = [(one, text) for one, text in named if np.array_equal(np.asarray(one.times), times)]
-        lines = [components(text, one.values, np.zeros_like(one.values)) for one, text in parts]
-        bounds = [bound for one, _ in parts for bound in (one.lower, one.upper)]
-        shown = {"unit": unit, "limits": limits_text(bounds, unit), "title": self._warning()}
-        figure = path_figure(times, {text: one for line in lines for text, one in line.items()}, y=name, **shown)
-        active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
-        values = [np.reshape(one.values, part.shape)[part] for (one, _), part in zip(parts, active, strict=True)]
-        places = [np.repeat(times, part.sum(axis=1)) for part in active]
-        marks = {"name": "active", "mode": "markers", "hover": "active at %{x:.4~g} s", "marker_size": 8}
-        draw(figure, np.concatenate(places), np.concatenate(values), ALARM, **marks)
-        return figure
+        known = {one.name: one for one in self._result.constraints if one.times is not None}
+        nothing, active = "expected a limit over time; received a problem without one.", active_over_time(self._result)
+        usual = next((one for one in known if one in active), None)
+        return limit_figure(
+            self._result, chosen("plot.limit", usual if name is None else name, known, nothing)[0], self._warning()
+        )
 
     def decisions(self) -> "Figure":
         """Each decision between its bounds, in percent of the way from the lower to the upper one, with where it began.
@@ -205,20 +190,18 @@ class SolutionPlots(AbstractPlots[Solution]):
         for row, (name, one) in enumerate(shown.items()):
             low, wide = np.asarray(one.lower, float), np.subtract(one.upper, one.lower)
             unit, value, place = unit_of_decision(name, solution.problem), solution.decisions[name], plain(name)
-            draw(figure, [0, 100], [place] * 2, MUTED, mode="lines", line_width=1, showlegend=False)
+            draw(figure, [0, 100], [place] * 2, MUTED, mode="lines", line_width=1, hover=None, showlegend=False)
             rows = (("start", one.initial, Look(MUTED, f"{look.symbol}-open")), ("design", value, look))
             for kind, values, each in rows:
                 ways = np.ravel(100 * (np.asarray(values, float) - low) / np.where(wide > 0, wide, 1.0))
-                texts = [number(entry, 5, plain(unit)) for entry in np.ravel(values)]
-                named = {"name": kind, "legendgroup": kind, "showlegend": row == 0, "text": texts}
-                hover = f"<b>{place}</b>, {kind}: %{{text}}"
-                draw(figure, ways, [place] * len(ways), each, mode="markers", hover=hover, cliponaxis=False, **named)
+                texts = [f"{place}: {number(entry, 5, plain(unit))}" for entry in np.ravel(values)]
+                named = {"name": kind, "legendgroup": kind, "showlegend": row == 0, "text": texts, "mode": "markers"}
+                draw(figure, ways, [place] * len(ways), each, hover="%{text}", cliponaxis=False, **named)
             sentence = f"{number(float(value), 5, unit)}, " if np.ndim(value) == 0 else ""
             sentence += f"between {given(float(np.min(one.lower)))} and {given(float(np.max(one.upper)), unit)}"
             above = {"xanchor": "right", "yanchor": "bottom", "yshift": 9, "showarrow": False}
-            figure.add_annotation(
-                x=100, y=place, text=plain(sentence), font={"size": SIZE - 2, "color": LIMIT}, **above
-            )
+            font = {"size": SIZE - 2, "color": LIMIT}
+            figure.add_annotation(x=100, y=place, text=plain(sentence), font=font, **above)
         figure.update_xaxes(range=[-4, 104])
         return figure.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
 
@@ -251,9 +234,15 @@ class SolutionPlots(AbstractPlots[Solution]):
         searched = self._result.effort.searched or self._result.effort.visited
         return search_figure(searched, unit_of_objective(self._result.problem))
 
-    def _active(self) -> list[str]:
-        """The limits over time that are active."""
-        return [one.name for one in self._result.constraints if one.times is not None and np.any(one.active)]
+    def _over_time(self) -> Mapping[str, str]:
+        """Which of the outputs, inputs and states of a system each is, by name. Raises `ProblemError` without time."""
+        problem, vector = self._result.problem, jax_array(self._result.vector)
+        if not problem.system.has_time:
+            raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
+        germ = jax_array(np.zeros(len(problem.placements.germs)))
+        outputs = jax.eval_shape(lambda: history(problem, germ, vector))
+        known, states = dict.fromkeys(outputs, "outputs"), getattr(problem.system, "states", ())
+        return known | dict.fromkeys(states, "states") | dict.fromkeys(problem.inputs, "inputs") | known
 
     def _inputs(self) -> "Iterator[Figure]":
         """The inputs that are decided, those of one unit and phase together."""
@@ -267,15 +256,6 @@ class SolutionPlots(AbstractPlots[Solution]):
             for each in alike.values():
                 yield motion_figure(motions, *each, title=self._warning())
 
-    def _limited(self) -> "list[Figure]":
-        """The limits over time, each by its path where it is on one alone; active ones first."""
-        problem, active = self._result.problem, set(self._active())
-        alone = {path: limits_of(problem, one).names for path, one in paths_of(problem).items()}
-        over_time = dict.fromkeys(one.name for one in self._result.constraints if one.times is not None)
-        every = [(self.band, path, bool(names & active)) for path, names in alone.items() if names]
-        every += [(self.limit, name, name in active) for name in over_time if name not in set().union(*alone.values())]
-        return [figure(name) for figure, name, _ in sorted(every, key=lambda one: not one[2])[:_LIMITS]]
-
     def _between_bounds(self) -> dict[str, AbstractDecision]:
         """The decisions that have two finite bounds."""
         every = self._result.problem.placements.designed.items()
@@ -284,9 +264,8 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def _held_path(self) -> str | None:
         """A path on which alone there is an active limit; None without one."""
-        problem, active = self._result.problem, set(self._active())
-        paths = paths_of(problem).items()
-        return next((name for name, one in paths if limits_of(problem, one).names & active), None)
+        problem, active = self._result.problem, active_over_time(self._result)
+        return next((name for name, one in paths_of(problem).items() if limits_of(problem, one).names & active), None)
 
     def _warning(self) -> str:
         """What a reader must know of a design that is not solved."""
@@ -302,6 +281,15 @@ class MeshPlots(AbstractPlots[MeshError]):
         return mesh_figure([self._result])
 
 
+@plots_of.register(Searched)
+class SearchedPlots(AbstractPlots[Searched]):
+    """The figure of a search."""
+
+    def search(self) -> "Figure":
+        """The objective of every point evaluated, in order, and the best so far."""
+        return search_figure(self._result)
+
+
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
     table = side_by_side("", {"": {**dict(design_rows(solution)), "Solver": solution.effort.solver}})
@@ -311,5 +299,90 @@ def _(solution: Solution) -> Facts:
 def _collocated(part: Any, what: str) -> Any:
     """A part that only simultaneous programs have. Raises `ProblemError` if it is missing."""
     if part is None:
-        raise ProblemError(f"{what}: {_SIMULATED}")
+        raise ProblemError(
+            f"{what}: expected a solution by al.Simultaneous(); received one whose states were simulated: see "
+            "plot.histories."
+        )
     return part
+
+
+# --- How a design came about -----------------------------------------------------------------------------------------
+
+# A point that violates a constraint by more than this, relative to its magnitude, is drawn as one that does not hold.
+_HELD = 1e-2
+# The axis shows the best values and this part of all others: a few are often far above.
+_SHOWN = 0.8
+_CAPTION = (
+    "Each point is one simulated design; those that violate a constraint by more than one part in a hundred are drawn "
+    "as crosses. The line is the best of the others so far, from which derivatives continue."
+)
+
+
+def search_drawings(designs: Mapping[str, Solution]) -> list[Drawing]:
+    """The searches for some designs, by their names, for a page: of those that were searched for."""
+    searches = {name: (one.effort.searched, unit_of_objective(one.problem)) for name, one in designs.items()}
+    return [
+        Drawing([search_figure(searched, unit)], f"Search for {name} by {searched.method}", _CAPTION)
+        for name, (searched, unit) in searches.items()
+        if searched is not None and searched.evaluations
+    ]
+
+
+def search_figure(searched: Searched | None, unit: str = "") -> "Figure":
+    """The objective, in its `unit`, of every point that a search evaluated, in order, and the best so far.
+
+    Raises `ProblemError` where there was no search, or none that evaluated anything.
+    """
+    if searched is None or not searched.evaluations:
+        raise ProblemError("plot.search: expected a search, or a solve, that evaluated designs; received none.")
+    figure = blank(label("Evaluation"), label("Objective", unit))
+    order, held = short(1 + np.arange(searched.evaluations)), searched.violations <= _HELD
+    groups = [("feasible", held, Look(MUTED, "circle"))]
+    groups += [] if held.all() else [("violates a constraint", ~held, Look(ALARM, "x-thin"))]
+    for name, of_kind, look in groups:
+        small = {"marker_size": 4, "marker_opacity": 0.5, "marker_line_color": look.colour, "marker_line_width": 1}
+        values = short(np.where(of_kind, searched.objectives, np.nan))
+        draw(figure, order, values, look, name=name, mode="markers", **small)
+    best, look = searched.best(_HELD), looks(["best so far"])["best so far"]
+    draw(figure, order, short(best), look, name="best so far", mode="lines", line_shape="hv")
+    known = searched.objectives[np.isfinite(searched.objectives)]
+    if len(known):
+        figure.update_yaxes(range=padded([*known[known <= np.quantile(known, _SHOWN)], *best[np.isfinite(best)]]))
+    return figure
+
+
+# From the first mesh to the last: shades of one hue, so that their order is seen without telling colours apart.
+_FIRST, _LAST = np.array((163, 196, 220)), np.array((0, 76, 120))
+
+_NODES = (
+    "How far states drift from their equations within each interval, relative to their magnitudes, in the realisation "
+    "that is worst there; the marks are the nodes of the mesh."
+)
+_REFINED = " The last mesh is the darkest. Intervals above the dashed line were divided, or their order was raised."
+
+
+def mesh_drawing(meshes: Sequence[MeshError], name: str) -> Drawing:
+    """The meshes of the design called `name`, for a page."""
+    caption = _NODES + _REFINED * (len(meshes) > 1)
+    return Drawing([mesh_figure(meshes)], f"Meshes of {name}", caption)
+
+
+def mesh_figure(meshes: Sequence[MeshError]) -> "Figure":
+    """The history of the meshes of a solution: the error of each interval as a step, with marks at the nodes."""
+    figure, last = blank(label("Time", "s"), "Drift of the states").update_yaxes(type="log"), meshes[-1]
+    for i, mesh in enumerate(meshes):
+        way = (i + 1) / len(meshes)
+        shade = np.rint((1 - way) * _FIRST + way * _LAST).astype(int).tolist()
+        colour, judged = f"rgb({','.join(map(str, shade))})", mesh is last and np.isfinite(mesh.asked)
+        verdict = "" if not judged else ", as asked" if mesh.is_met else ", more than asked"
+        scheme = "" if i and mesh.scheme == meshes[i - 1].scheme else f" of {mesh.scheme}"
+        name = f"Mesh {i + 1}: {count(mesh.intervals)} intervals{scheme}, {residual(mesh.worst)}{verdict}"
+        # An error of zero has no place on a logarithmic axis.
+        errors = np.where(mesh.errors > 0, mesh.errors, np.nan)
+        steps = {"line_shape": "hv", "line_width": 2.0 if mesh is last else 1.3}
+        marks = {"marker_size": 7, "marker_line_width": 1, "marker_line_color": colour}
+        heights = short(np.append(errors, errors[-1]))
+        draw(figure, short(mesh.nodes), heights, Look(colour, "line-ns"), name=name, **steps, **marks)
+    if np.isfinite(last.asked):
+        limit_line(figure, last.asked, f"{residual(last.asked)} asked")
+    return figure.update_layout(showlegend=True)

@@ -1,4 +1,4 @@
-"""Figures and facts of what is sampled or expanded: evidence of one design and of many, functions, tolerances."""
+"""Figures and facts of what is sampled or expanded: evidence on one design and on many, functions, tolerances."""
 
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
@@ -10,16 +10,16 @@ from aleator._core.arrays import jax_array
 from aleator._core.border import positive
 from aleator._core.errors import ProblemError
 from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, ToleranceAnalysis
-from aleator.design import functionals_of
-from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_limit, units_of_moments
+from aleator.design import AbstractFunctional, functionals_of
+from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_functional
 from aleator.reporting._page import Table
 from aleator.reporting._paths import cloud, components, limits_of, path_figure, paths_of, trajectory_figure
+from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.reporting._spreads import bars_figure, density_figure, percentile_figure, shares_figure
 from aleator.reporting._style import plain
 from aleator.reporting._tables import evidence_table, violations_table
-from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.sweep import EvidenceOfAll
-from aleator.validation import Evidence, Sampled
+from aleator.validation import Evidence
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -50,7 +50,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         nothing = "expected a limit over time, and keep > 0 in al.validate; received evidence without trajectories."
         paths = {one.name: one for one in self._result.trajectories}
         name, _ = chosen("plot.trajectories", self._most_broken(paths) if limit is None else limit, paths, nothing)
-        return trajectory_figure(self._result, name, unit=unit_of_limit(name, self._result.solution.problem), every=1)
+        return trajectory_figure(self._result, name, every=1)
 
     def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
         """The sampled mean of a path with its band, before sampled histories, and the mean by the expansion.
@@ -78,21 +78,21 @@ class EvidencePlots(AbstractPlots[Evidence]):
 
         - `functional`: its text, such as `"rms(x)"`, or the name of its output where that tells it apart.
         """
-        name, one = self._number("plot.density", functional)
-        problem = self._result.solution.problem
-        (declared,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
+        problem, declared = self._result.solution.problem, self._number("plot.density", functional)
+        name, one = declared.text(), self._result.functionals[declared.text()]
         (edges, heights), limits = _steps(one.values), limits_of(problem, declared)
-        broken = {each: share for each, share in self._result.violations.items() if each in limits.names}
-        title = f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
-        title = "<br>".join([*(f"{share_text(share)} violate {plain(each)}" for each, share in broken.items()), title])
-        shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": title}
+        broken = [(each, share) for each, share in self._result.violations.items() if each in limits.names]
+        lines = [f"{share_text(share)} violate {plain(each)}" for each, share in broken]
+        moments = f"mean {number(float(one.mean))}, σ {number(float(one.std))}"
+        lines.append(f"{moments}, {count(self._result.samples)} systems")
+        shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": "<br>".join(lines)}
         return density_figure(edges, {"sampled": heights}, x=name, **shown)
 
     def percentiles(self, functional: str | None = None) -> "Figure":
         """The sampled spread of a functional: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems, median and mean."""
-        name, one = self._number("plot.percentiles", functional)
-        unit = units_of_moments(self._result.solution.problem).get(name, "")
-        return percentile_figure({"design": one}, x=name, unit=unit)
+        declared = self._number("plot.percentiles", functional)
+        unit, name = unit_of_functional(declared, self._result.solution.problem), declared.text()
+        return percentile_figure({"design": self._result.functionals[name]}, x=name, unit=unit)
 
     def violations(self) -> "Figure":
         """How many systems break each limit, with 95 % confidence intervals."""
@@ -107,21 +107,21 @@ class EvidencePlots(AbstractPlots[Evidence]):
         shares = {name: violations[name].estimate for name in names if name in violations}
         return max(shares, key=lambda name: shares[name], default=None)
 
-    def _numbers(self) -> dict[str, Sampled]:
+    def _numbers(self) -> dict[str, AbstractFunctional]:
         """The functionals that are one number of each system, by their texts."""
-        return {text: one for text, one in self._result.functionals.items() if one.values is not None}
+        every = functionals_of(self._result.solution.problem.expressions)
+        return {one.text(): one for one in every if self._result.functionals[one.text()].values is not None}
 
     def _limited(self) -> dict[str, str]:
         """The text of such a functional that varies by the limit that is on it alone."""
-        problem = self._result.solution.problem
-        known = {text for text, one in self._numbers().items() if _varies(one.values)}
-        every = [one for one in functionals_of(problem.expressions) if one.text() in known]
-        return {name: one.text() for one in every for name in limits_of(problem, one).names}
+        problem, sampled = self._result.solution.problem, self._result.functionals
+        varied = {text: one for text, one in self._numbers().items() if _varies(sampled[text].values)}
+        return {name: text for text, one in varied.items() for name in limits_of(problem, one).names}
 
-    def _number(self, what: str, functional: str | None) -> tuple[str, Sampled]:
-        known, every = self._numbers(), functionals_of(self._result.solution.problem.expressions)
-        of_output = [one.text() for one in every if one.text() in known and one.outputs == (functional,)]
-        return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, _NO_NUMBER)
+    def _number(self, what: str, functional: str | None) -> AbstractFunctional:
+        known = self._numbers()
+        of_output = [text for text, one in known.items() if one.outputs == (functional,)]
+        return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, _NO_NUMBER)[1]
 
 
 @plots_of.register(EvidenceOfAll)
