@@ -1,8 +1,8 @@
 """`Study`: a study of one's own, declared by its problems alone; `SweptStudy`: a design along a bound."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from copy import copy
 from dataclasses import replace
 from typing import Any, final
@@ -23,6 +23,7 @@ from aleator.reporting import (
     designs_table,
     evidence_sections,
     evidence_table,
+    front_blocks,
     front_table,
     number,
     proposal,
@@ -240,45 +241,30 @@ class SweptStudy(AbstractStudy):
         with executor_of(self.workers) as executor:
             how = {"executor": executor, "progress": page.progress, **self.solving}
             front = pareto(self.problems[self._name], self._bound, self._values, **how)
-        places = [point_name(front.bound, value) for value in front.values]
-        points = sorted(zip(front.values.tolist(), places, front.points, strict=True), key=lambda point: point[0])
-        solved = {place: one for _, place, one in points if isinstance(one, Solution) and one.ok}
-        ends = [*solved][:1] + [*solved][-1:]
-        page.recommend(self._verdict(front, solved, ends))
-        if front.points and not solved:
-            page.unsolved.append(_nothing_solved(front))
-        page.append(Section("Points", []))
-        page.add(replace(front_table({"": front}), caption=f"{self._name} over {self._bound}"), printed=True)
+        points = sorted(zip(front.values.tolist(), front.points, strict=True), key=lambda point: point[0])
+        solved = {point_name(front.bound, value): one for value, one in points if isinstance(one, Solution) and one.ok}
+        ends = {place: solved[place] for place in [*solved][:1] + [*solved][-1:]}
+        said = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
+        if solved:
+            objectives = words([f"{number(one.objective, 4)} at {place}" for place, one in ends.items()])
+            level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
+            page.recommend(Verdict(level, word, f"{said}; the objective is {objectives}."))
+        else:
+            why = f"{said}. The first: {front.points[0].why()}" if front.points else f"{said}."
+            page.recommend(Verdict("bad", "Nothing solved", why))
+            page.unsolved += [why] if front.points else []
+        page.append(Section("Points", front_blocks({self._name: front}) if front.points else []))
         if front.interrupted:
             page.add(f"{len(front.values)} of {len(self._values)} points are available.")
-        page.append(*sections({place: solved[place] for place in places if place in ends}, {}, {self._name: front}))
+        if front.points:
+            page.tables.append(replace(front_table({"": front}), caption=f"{self._name} over {self._bound}"))
+        page.append(*sections(ends, {}, {}))
         page.keep("fronts", {self._name: front})
 
-    def _verdict(self, front: Front, solved: Mapping[str, Solution], ends: Sequence[str]) -> Verdict:
-        """How many points are solved, and the objective at both ends of these."""
-        if front.interrupted and not solved:
-            said = f"No point over {self._bound} was solved before the sweep stopped."
-            return Verdict("caution", "Interrupted", said)
-        if not solved:
-            return Verdict("bad", "Nothing solved", _nothing_solved(front))
-        told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
-        objectives = words([f"{number(solved[end].objective, 4)} at {end}" for end in dict.fromkeys(ends)])
-        level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
-        return Verdict(level, word, f"{told}; the objective is {objectives}.")
 
-
-def _nothing_solved(front: Front) -> str:
-    return f"No point over {front.bound} is solved. The first: {front.points[0].why()}"
-
-
-@contextmanager
-def executor_of(processes: int | None) -> Iterator[Executor | None]:
+def executor_of(processes: int | None) -> AbstractContextManager[Executor | None]:
     """So many processes within a block (`al.workers`); none where the work is this one's."""
-    if processes is None:
-        yield None
-        return
-    with workers(processes) as executor:
-        yield executor
+    return nullcontext() if processes is None else workers(processes)
 
 
 def problems_of(study: AbstractStudy) -> dict[str, Problem]:
