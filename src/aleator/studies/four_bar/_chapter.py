@@ -1,7 +1,6 @@
 """The four-bar study: three designs, their linkages simulated and counted by elimination, and which to build."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ from aleator.design import value_at
 from aleator.journalling import kept
 from aleator.reporting import Drawing, Table, Verdict, count, given, number, share_text, words
 from aleator.studies import four_bar
-from aleator.studies._shared import add_second_way, gathered, sampled, signed, stored, system
+from aleator.studies._shared import add_second_way, gathered, requirements_active, sampled, signed, stored, system
 from aleator.studies._study import Draft
 from aleator.studies.four_bar import HEIGHT, LENGTHS, SIGMAS, TRANSMISSION, WIDTHS, ZONE
 from aleator.studies.four_bar._elimination import (
@@ -39,6 +38,13 @@ PARTS = {**{name: name for name in LENGTHS}, "along": "tool along the coupler", 
 PINS = {"crank_play": "crank's pin", "rocker_play": "rocker's pin"}
 BARS = {**{f"{name}.tolerance": text for name, text in PARTS.items()}, **PINS}
 """What lengths, clearances, and the widths of both are called."""
+
+EXTREMES = {
+    "transmission": (np.argmin, f"least angle of transmission, μ ± σ (°), limit {given(TRANSMISSION)}"),
+    "crank_pin": (np.argmax, f"largest force in the crank's pin, μ ± σ (N), limit {given(four_bar.FORCE)}"),
+    "rocker_pin": (np.argmax, f"largest force in the rocker's pin, μ ± σ (N), limit {given(four_bar.FORCE)}"),
+    "crank_torque": (np.argmax, f"largest torque of the motor, μ ± σ (N m), limit {given(four_bar.TORQUE)}"),
+}
 
 COUNT_UNITS = {"outside": "1", "flat": "1", "linkages": "1", "zone": "mm"}
 COUNT_UNITS |= {f"deviation_of_{100 * level:.0f}_percent": "mm" for level in LEVELS}
@@ -88,7 +94,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("The three designs")
     designs = gathered(page, "designs", al.solve, page.study.problems)
     evidence = sampled(page, designs, simulated)
-    page.add(designs_table(designs, evidence), printed=True)
+    page.add(designs_table(designs), reporting.violations_table(evidence), printed=True)
     chosen = {name: (lengths_of(one), widths_of(one)) for name, one in designs.items()}
     told = (
         "Press play, or drag the slider: mean linkages and random ones, to scale. Their deviations are too small "
@@ -174,15 +180,28 @@ def cost(solution: al.Solution) -> float:
     return value_at(four_bar.COST, solution.problem, solution.vector)
 
 
-def designs_table(designs: Mapping[str, al.Solution], evidence: Mapping[str, al.results.Evidence]) -> Table:
-    """The designs side by side, with what their tolerances cost."""
-    table = reporting.designs_table(designs, evidence)
-    costs = ["Cost of tolerances and clearances", *(f"${cost(one):.2f}" for one in designs.values())]
+def designs_table(designs: Mapping[str, al.Solution]) -> Table:
+    """The three designs in an engineer's terms."""
     note = (
-        f"Limits hold with a margin of {given(SIGMAS)} σ, for dOpt in the mean only. The limits 'line' and 'zone' are "
-        f"each design's own zone. {table.note}"
+        f"Limits hold with a margin of {given(SIGMAS)} σ, for dOpt in the mean only. ± of a length is its tolerance, "
+        "three standard deviations. The limit 'line' is each design's own zone."
     )
-    return replace(table, rows=[*table.rows, costs], note=note)
+    columns = {}
+    for name, one in designs.items():
+        lengths, widths = lengths_of(one), widths_of(one)
+        columns[name] = {
+            f"{PARTS[part]} (mm)": f"{number(size, 5)} ± {number(widths[f'{part}.tolerance'], 3)}"
+            for part, size in lengths.items()
+        }
+        columns[name] |= {f"clearance of the {text} (mm)": number(widths[pin], 3) for pin, text in PINS.items()}
+        columns[name]["zone that it promises, ± (mm)"] = number(float(one.decisions["zone"]), 4)
+        columns[name]["cost of tolerances and clearances"] = f"${cost(one):.2f}"
+        for path, (extreme, text) in EXTREMES.items():
+            moments = one.moments[f"{path}(t)"]
+            at = int(extreme(moments.mean))
+            columns[name][text] = f"{number(moments.mean[at], 4)} ± {number(moments.std[at], 2)}"
+        columns[name]["active limits"] = words(requirements_active(one))
+    return reporting.side_by_side("Decisions and performance", columns, note)
 
 
 def counts_table(counts: Mapping[str, Counts]) -> Table:

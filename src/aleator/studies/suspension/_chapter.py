@@ -84,14 +84,20 @@ def chapter(page: Draft, quick: bool) -> None:
     chosen = designs | {name: one.solution for name, one in built.items()}
 
     page.section("How often cars exceed a narrow travel")
-    narrow = gathered(page, "narrow", al.solve, narrow_problems())
+    problems = {
+        "dOpt": deterministic_problem(NARROW, HOLDING),
+        "uOpt, 1 σ": robust_problem(NARROW, HOLDING, 1.0),
+        "uOpt, 1.25 σ": robust_problem(NARROW, HOLDING, 1.25),
+    }
+    lessons = {
+        "6.9": "The deterministic design: best for the nominal car, without reserve for the others.",
+        "6.10 a": "The robust design with a margin of 1 σ: a narrow bundle, with few cars outside.",
+        "6.10 b": "With a slightly larger margin, a = 1.25, violations become rare.",
+    }
+    narrow = gathered(page, "narrow", al.solve, problems)
     few = min(samples, 20_000)  # shares of a tenth, to half a percent
     narrow_evidence = sampled(page, narrow, few, "narrow_evidence")
-    for name, (number, lesson) in {
-        "dOpt": ("6.9", "The deterministic design: best for the nominal car, without reserve for the others."),
-        "uOpt, 1 σ": ("6.10 a", "The robust design with a margin of 1 σ: a narrow bundle, with few cars outside."),
-        "uOpt, 1.25 σ": ("6.10 b", "With a slightly larger margin, a = 1.25, violations become rare."),
-    }.items():
+    for name, (number, lesson) in zip(narrow, lessons.items(), strict=True):
         figure = reporting.trajectory_figure(narrow_evidence[name], "travel", y="Travel", unit="m", who="cars")
         told = f"{lesson} Counted on {count(few)} cars."
         page.add(Drawing([figure], f"{name}, travel within ±{NARROW:g} m", told, number))
@@ -204,15 +210,6 @@ def build(
     page.add(views.built_table(designs, evidence, built), printed=True)
     page.add(*(margin(f"The margin to build {name} with", one) for name, one in built.items()))
     return built
-
-
-def narrow_problems() -> dict[str, al.Problem]:
-    """The problems of figures 6.9 and 6.10."""
-    return {
-        "dOpt": deterministic_problem(NARROW, HOLDING),
-        "uOpt, 1 σ": robust_problem(NARROW, HOLDING, 1.0),
-        "uOpt, 1.25 σ": robust_problem(NARROW, HOLDING, 1.25),
-    }
 
 
 def recommended(

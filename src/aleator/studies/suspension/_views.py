@@ -14,6 +14,8 @@ from aleator.studies.suspension import COST
 
 TRAVEL, HOLDING, RIDE, NARROW = 0.203, 0.034, 220.0, 0.152
 SPREADS = {"k_s.half_width": "spring kₛ", "b_s.half_width": "damper bₛ", "eta.half_width": "damping ratio η"}
+LABELS = {"k_s.mean": "Spring, mean kₛ", "b_s.mean": "Damper, mean bₛ"}
+LABELS |= {name: f"± half-width, {text}" for name, text in SPREADS.items()}
 RIDE_TEXT, HOLDING_TEXT, RIDE_UNIT = "∫comfort dt", "rms(grip)", "m²/s³"
 AXES = {
     "holding": Axis("Holding", "m", {"limit H": HOLDING}),
@@ -41,21 +43,34 @@ def margins_text(margins: Mapping[str, float]) -> str:
 def designs_table(
     caption: str, designs: Mapping[str, al.Solution], evidence: Mapping[str, al.results.Evidence]
 ) -> Table:
-    """Designs side by side, with their requirements and what their spreads cost."""
-    table, boxes = reporting.designs_table(designs, evidence), [box(one, name) for name, one in designs.items()]
-    achieved = [
-        [
-            f"{axis.name}, μ ± σ ({axis.unit})",
-            *(f"{number(one.centre[key], 4)} ± {number(one.half[key], 3)}" for one in boxes),
-        ]
-        for key, axis in AXES.items()
-    ]
-    costs = ["Cost of the spreads", *(f"${cost(one):.2f}" for one in designs.values())]
+    """Designs in an engineer's terms, a column each."""
+    columns = {}
+    for name, design in designs.items():
+        placed, counted = box(design, name), evidence.get(name)
+        shares = {**counted.violations, "any limit": counted.joint} if counted else {}
+        columns[name] = {
+            **{label: decided(design, key) for key, label in LABELS.items()},
+            **{
+                f"{axis.name}, μ ± σ ({axis.unit})": f"{number(placed.centre[key], 4)} ± {number(placed.half[key], 3)}"
+                for key, axis in AXES.items()
+            },
+            "Cost of the spreads": f"${cost(design):.2f}",
+            "Active limits": words(requirements_active(design)),
+            **{f"Cars beyond {limit}": share_text(share) for limit, share in shares.items()},
+        }
     note = (
-        f"{table.note} Travel is at its most critical instant, with the spread of equation (119): σ of z_s plus σ of "
-        "z_u. dOpt is evaluated on the nominal car, so its σ is 0; it and uOpt have the initial spreads."
+        "dOpt is evaluated on the nominal car, so its σ is 0. Travel is at its most critical instant, with the spread "
+        "of equation (119): σ of z_s plus σ of z_u. Intervals are 95 % confidence (Clopper and Pearson). Ride is a "
+        f"limit ({given(RIDE, RIDE_UNIT)}) for aOpt only; for dOpt and uOpt μ + σ is the objective."
     )
-    return replace(table, caption=caption, rows=[*table.rows, *achieved, costs], note=note)
+    return reporting.side_by_side(caption, columns, note)
+
+
+def decided(solution: al.Solution, name: str) -> str:
+    """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
+    at = value_at(al.value(name), solution.problem, solution.vector)
+    how = " (at its bound)" if name in solution.at_bounds else "" if name in solution.decisions else " (given)"
+    return f"{number(at, 4, unit_of_decision(name, solution.problem))}{how}"
 
 
 def built_table(
