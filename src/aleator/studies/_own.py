@@ -10,28 +10,12 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
+from aleator import reporting
 from aleator._core.border import a_name, meant, one_of, positive, real_array, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.reporting import (
-    TARGET,
-    Section,
-    Verdict,
-    certificate_table,
-    count,
-    designs_table,
-    evidence_sections,
-    evidence_table,
-    front_blocks,
-    front_table,
-    number,
-    proposal,
-    sections,
-    trade_offs_section,
-    violations_table,
-    words,
-)
+from aleator.reporting import TARGET, Section, Verdict, count, number, words
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._study import AbstractStudy, Draft
@@ -123,10 +107,7 @@ class Study(AbstractStudy):
     @override
     def with_workers(self, count: int) -> "Study":
         if not (self._sweeps or self._wishes):
-            raise ProblemError(
-                f"--workers {count}: the study '{self.title}' has nothing to share among processes: expected "
-                "`sweeps` or `wishes`. A single solve takes all cores of the machine by itself."
-            )
+            super().with_workers(count)
         shared = copy(self)
         shared.workers = whole("Study: workers", count)
         return shared
@@ -151,20 +132,20 @@ class Study(AbstractStudy):
             page.progress(f"design {name}: {in_brief(designs[name])}", 1, 1)
             page.keep("designs", {name: designs[name]})
         page.unsolved += [f"'{name}' is not solved: {one.why()}" for name, one in designs.items() if not one.ok]
-        first, *trust = sections(designs, {}, {})
+        first, *trust = reporting.sections(designs, {}, {})
         page.append(first)
-        page.tables.append(designs_table(designs, {}))
+        page.tables.append(reporting.designs_table(designs, {}))
         for name, design in designs.items():
             page.step(f"evidence on {name}")
             if design.ok:
                 evidence[name] = validate(design, self.samples, seed=self._seed, progress=page.progress)
                 page.keep("evidence", {name: evidence[name]})
-        page.recommend(proposal(designs, evidence, self._target))
-        page.append(*evidence_sections(evidence))
+        page.recommend(reporting.proposal(designs, evidence, self._target))
+        page.append(*reporting.evidence_sections(evidence))
         if evidence:
-            page.add(violations_table(evidence), printed=True)
-            page.tables.append(evidence_table(evidence))
-        page.tables.append(certificate_table(designs))
+            page.add(reporting.violations_table(evidence), printed=True)
+            page.tables.append(reporting.evidence_table(evidence))
+        page.tables.append(reporting.certificate_table(designs))
         for bound, values in self._sweeps.items():
             page.step(f"front over {bound}")
             with executor_of(self.workers) as executor:
@@ -195,7 +176,7 @@ class Study(AbstractStudy):
                 sampled = validate_all(front, self.samples, **everyone)
             page.kept = {**page.kept, "along": {**page.kept.get("along", {}), name: sampled.by_place}}
         known = [*evidence.values(), *(() if sampled is None else sampled.by_place.values())]
-        page.append(trade_offs_section(designs, {name: front}, known))
+        page.append(reporting.trade_offs_section(designs, {name: front}, known))
         if front.interrupted or (sampled is not None and sampled.interrupted):
             page.add(f"{len(front.solutions)} points of the front over {name} are available.")
             raise KeyboardInterrupt
@@ -253,12 +234,12 @@ class SweptStudy(AbstractStudy):
             why = f"{said}. The first: {front.points[0].why()}" if front.points else f"{said}."
             page.recommend(Verdict("bad", "Nothing solved", why))
             page.unsolved += [why] if front.points else []
-        page.append(Section("Points", front_blocks({self._name: front}) if front.points else []))
+        page.append(Section("Points", reporting.front_blocks({self._name: front}) if front.points else []))
         if front.interrupted:
             page.add(f"{len(front.values)} of {len(self._values)} points are available.")
         if front.points:
-            page.tables.append(replace(front_table({"": front}), caption=f"{self._name} over {self._bound}"))
-        page.append(*sections(ends, {}, {}))
+            page.tables.append(replace(reporting.front_table({"": front}), caption=f"{self._name} over {self._bound}"))
+        page.append(*reporting.sections(ends, {}, {}))
         page.keep("fronts", {self._name: front})
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import aleator as al
 from aleator import reporting
-from aleator.reporting import Code, Drawing, Schematic, given, number, percent
+from aleator.reporting import Code, Drawing, Schematic, given, number
 from aleator.studies._study import Draft
 
 if TYPE_CHECKING:
@@ -69,11 +69,6 @@ def add_second_way(page: Draft, name: str, problem: al.Problem, most_states: int
 def requirements_active(solution: al.Solution) -> list[str]:
     """The active requirements of a design, without decisions at their bounds."""
     return [name for name in solution.active if name not in solution.at_bounds]
-
-
-def signed(change: float) -> str:
-    """A relative change with its sign: `+3.9 %`."""
-    return f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
 
 
 def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin: str = "") -> Drawing:

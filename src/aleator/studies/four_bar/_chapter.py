@@ -11,18 +11,10 @@ from aleator.design import value_at
 from aleator.journalling import kept
 from aleator.reporting import Drawing, Table, Verdict, count, given, number, share_text, words
 from aleator.studies import four_bar
-from aleator.studies._shared import add_second_way, gathered, requirements_active, sampled, signed, stored, system
+from aleator.studies._shared import add_second_way, gathered, requirements_active, sampled, stored, system
 from aleator.studies._study import Draft
 from aleator.studies.four_bar import HEIGHT, LENGTHS, SIGMAS, TRANSMISSION, WIDTHS, ZONE
-from aleator.studies.four_bar._elimination import (
-    LEVELS,
-    Counts,
-    Posture,
-    count_linkages,
-    drawn_postures,
-    posture_of,
-    swing,
-)
+from aleator.studies.four_bar import _elimination as elimination
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -47,7 +39,7 @@ EXTREMES = {
 }
 
 COUNT_UNITS = {"outside": "1", "flat": "1", "linkages": "1", "zone": "mm"}
-COUNT_UNITS |= {f"deviation_of_{100 * level:.0f}_percent": "mm" for level in LEVELS}
+COUNT_UNITS |= {f"deviation_of_{100 * level:.0f}_percent": "mm" for level in elimination.LEVELS}
 """What is stored of each count, with units."""
 
 TITLE = "Four-bar linkage on a straight line: robust lengths and the cheapest tolerances"
@@ -105,7 +97,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("The path")
     every = {PUBLISHED: (LENGTHS, WIDTHS), **chosen}
     counts = {
-        name: kept(f"linkages, {name}", count_linkages, *one, counted, progress=page.progress)
+        name: kept(f"linkages, {name}", elimination.count_linkages, *one, counted, progress=page.progress)
         for name, one in every.items()
     }
     rows = {
@@ -204,7 +196,7 @@ def designs_table(designs: Mapping[str, al.Solution]) -> Table:
     return reporting.side_by_side("Decisions and performance", columns, note)
 
 
-def counts_table(counts: Mapping[str, Counts]) -> Table:
+def counts_table(counts: Mapping[str, elimination.Counts]) -> Table:
     """The paths of all designs, counted by elimination."""
     note = (
         f"{count(counts[PUBLISHED].outside.samples)} linkages of each design, by the triangle of coupler and rocker: "
@@ -218,7 +210,7 @@ def counts_table(counts: Mapping[str, Counts]) -> Table:
             f"Linkages below {given(TRANSMISSION)}° of transmission": share_text(one.flat),
             f"Zone of μ ± {given(SIGMAS)} σ at each place, ± (mm)": number(one.zone, 4),
         }
-        for level, size in zip(LEVELS, one.largest, strict=True):
+        for level, size in zip(elimination.LEVELS, one.largest, strict=True):
             columns[name][f"Largest deviation that {given(100 * level)} % keep (mm)"] = number(size, 3)
     return reporting.side_by_side("Paths counted by elimination", columns, note)
 
@@ -239,8 +231,8 @@ def recommended(designs: Mapping[str, al.Solution], evidence: Mapping[str, al.re
         not_verified=["the prices of tolerances and clearances, which are assumed"],
         sentences=[
             f"Tolerances and clearances cost ${cost(allocated):.2f} instead of the ${cost(robust):.2f} of the given "
-            f"ones ({signed(cost(allocated) / cost(robust) - 1)}); a zone wider by 0.1 mm saves about "
-            f"${price / 10:.2f}. Tightened are: {words(tightened)}; all others are widened."
+            f"ones; a zone wider by 0.1 mm saves about ${price / 10:.2f}. Tightened are: {words(tightened)}; all the "
+            "others are widened."
         ],
     )
 
@@ -250,13 +242,13 @@ def recommended(designs: Mapping[str, al.Solution], evidence: Mapping[str, al.re
 
 def animation(name: str, lengths: Mapping[str, float], widths: Mapping[str, float]) -> "Figure":
     """The mean linkage and random ones in motion."""
-    angles, times = swing()
-    family = drawn_postures(lengths, widths, 25, seed=4, instants=angles)
-    joints, mean = (_joints(one, lengths["ground"]) for one in (family, posture_of(lengths, angles)))
+    angles, times = elimination.swing()
+    family = elimination.drawn_postures(lengths, widths, 25, seed=4, instants=angles)
+    joints, mean = (_joints(one, lengths["ground"]) for one in (family, elimination.posture_of(lengths, angles)))
     return reporting.linkage_animation(times, joints, mean, look=reporting.looks(DESIGNS)[name], title=name)
 
 
-def _joints(one: Posture, ground: float) -> np.ndarray:
+def _joints(one: elimination.Posture, ground: float) -> np.ndarray:
     """Rocker's bearing and pin, crank's pin, its bearing, its pin again, and the tool, m: one line through all bars."""
     still = np.zeros_like(one.tool)
     support = still + np.array([ground, 0.0])
@@ -265,6 +257,6 @@ def _joints(one: Posture, ground: float) -> np.ndarray:
 
 def deviation(name: str, lengths: Mapping[str, float], widths: Mapping[str, float]) -> "Figure":
     """The height of random linkages' tools above the line over time."""
-    angles, times = swing()
-    heights = {"mean": drawn_postures(lengths, widths, 400, seed=5, instants=angles).tool[..., 1] - HEIGHT}
+    angles, times = elimination.swing()
+    heights = {"mean": elimination.drawn_postures(lengths, widths, 400, seed=5, instants=angles).tool[..., 1] - HEIGHT}
     return reporting.bands_figure(times, heights, y="Deviation", unit="mm", limits=(-ZONE, ZONE), title=name)

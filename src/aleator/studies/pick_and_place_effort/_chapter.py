@@ -9,18 +9,9 @@ from aleator import reporting
 from aleator.journalling import kept
 from aleator.reporting import Drawing, Table, Text, given, number, percent, share_text
 from aleator.studies import _motion as motion
+from aleator.studies import pick_and_place_effort as effort
 from aleator.studies._shared import margin_drawing
 from aleator.studies._study import Draft
-from aleator.studies.pick_and_place_effort import (
-    DURATION,
-    PAYLOAD,
-    TIP,
-    TOLERANCE,
-    deterministic_problem,
-    robust_problem,
-    start_torques,
-    terminal_variance_problem,
-)
 from aleator.studies.two_link_arm import TORQUE
 from aleator.studies.two_link_arm._views import ARM, TORQUES, arm_schematic
 from aleator.transcription import transcribe
@@ -31,7 +22,7 @@ WIDE = al.Uniform(1.0, std=0.5)
 """A payload with five times the spread."""
 BENDS = (1.2, 0.6, 2.5)
 """The bend of the elbow on the paths from which searches start, besides the problem's own, rad."""
-MOST = 2 * TORQUE**2 * DURATION
+MOST = 2 * TORQUE**2 * effort.DURATION
 """The effort of both torques at their limits throughout: no plan takes more."""
 
 PUBLISHED = {MEAN: 2770.0, ROBUST: 3530.0, LEAST: 5910.0}
@@ -43,7 +34,7 @@ REFERENCE_NORM = 0.02533
 
 TITLE = "Pick and place with minimum effort: forward dynamics"
 SUBTITLE = (
-    f"Two-link arm, payload in kg: {PAYLOAD}; {given(DURATION)} s, torques within ±{given(TORQUE)} N m;"
+    f"Two-link arm, payload in kg: {effort.PAYLOAD}; {given(effort.DURATION)} s, torques within ±{given(TORQUE)} N m;"
     " dissertation, section 5.5.1"
 )
 GLOSSARY = (
@@ -70,7 +61,11 @@ LESSON = (
 
 def problems() -> dict[str, al.Problem]:
     """The problems of the plans."""
-    return {MEAN: deterministic_problem(), ROBUST: robust_problem(), LEAST: terminal_variance_problem(MOST)}
+    return {
+        MEAN: effort.deterministic_problem(),
+        ROBUST: effort.robust_problem(),
+        LEAST: effort.terminal_variance_problem(MOST),
+    }
 
 
 def chapter(page: Draft, quick: bool) -> None:
@@ -78,17 +73,17 @@ def chapter(page: Draft, quick: bool) -> None:
     starts, samples, systems, trial = (1, 2_000, 400, 2_000) if quick else (4, 20_000, 2_000, 10_000)
 
     page.section("The system")
-    page.add(arm_schematic(page, PAYLOAD))
+    page.add(arm_schematic(page, effort.PAYLOAD))
 
     page.section("The plans")
     # Deterministic from bent paths; the others from the plan before them, and from these paths as well.
-    bent = [{}, *({"torque.free": start_torques(bend)} for bend in BENDS)][:starts]
+    bent = [{}, *({"torque.free": effort.start_torques(bend)} for bend in BENDS)][:starts]
     searches = dict[str, al.results.Starts]()
     for name, problem in page.study.problems.items():
         if not (quick and name == LEAST):
             earlier = [dict(one.best.decisions) for one in searches.values()][-1:]
             searches[name] = motion.search(page, name, problem, [*earlier, *bent[len(earlier) :]])
-    tried = robust_problem(motion.TRIED, guess=searches[ROBUST].best.decisions["torque.free"])
+    tried = effort.robust_problem(motion.TRIED, guess=searches[ROBUST].best.decisions["torque.free"])
     margin = motion.calibrated(page, tried, ["obstacle", "wall"], trial)
     plans = motion.judged(page, searches, margin, samples, systems)
     families, robust = plans.families, plans.solutions[ROBUST]
@@ -136,9 +131,9 @@ def chapter(page: Draft, quick: bool) -> None:
 
     if not quick:
         page.section("Effort against spread")
-        bare = terminal_variance_problem(MOST, guess=plans.solutions[LEAST].decisions["torque.free"])
+        bare = effort.terminal_variance_problem(MOST, guess=plans.solutions[LEAST].decisions["torque.free"])
         # From where more effort brings no gain down to that of the robust plan.
-        efforts = np.linspace(effort(families[LEAST]), 1.01 * robust.objective, 7)
+        efforts = np.linspace(effort_of(families[LEAST]), 1.01 * robust.objective, 7)
         fronts = {LEAST: al.pareto(bare, "effort", efforts, progress=page.progress)}
         page.keep("front", fronts[LEAST])
         figure = reporting.front_figure(
@@ -151,10 +146,10 @@ def chapter(page: Draft, quick: bool) -> None:
         page.add(reporting.linked_front(fronts, [figure], "The cost of a smaller spread", told))
 
         page.section("How wide a payload")
-        thrown = motion.flown(f"payload {WIDE}", robust, systems, robust_problem(payload=WIDE))
+        thrown = motion.flown(f"payload {WIDE}", robust, systems, effort.robust_problem(payload=WIDE))
         page.add(
             Text(LESSON, lead="No single open-loop plan suits widely spread payloads."),
-            spreads_table(robust, [(PAYLOAD, families[ROBUST]), (WIDE, thrown)]),
+            spreads_table(robust, [(effort.PAYLOAD, families[ROBUST]), (WIDE, thrown)]),
             Drawing(
                 [ARM.histories(thrown)[0], ARM.paths(ROBUST, thrown, plans)],
                 f"The robust plan with payload {WIDE}",
@@ -167,7 +162,7 @@ def chapter(page: Draft, quick: bool) -> None:
     motion.add_trust(page, searches, plans)
 
 
-def effort(family: al.results.Motions) -> float:
+def effort_of(family: al.results.Motions) -> float:
     """`∫ τ₁² + τ₂² dt` of a plan, (N m)² s, by Simpson's rule on its instants; the torques of all arms are the same."""
     squares = sum(family.systems[name][0] ** 2 for name in TORQUES.values())
     return float(scipy.integrate.simpson(squares, x=family.times))
@@ -175,12 +170,12 @@ def effort(family: al.results.Motions) -> float:
 
 def spread(plans: motion.Plans, name: str) -> str:
     """The standard deviations of the tip's final position, x and y, m: `0.191 and 0.133`."""
-    return " and ".join(number(float(plans.families[name].moments[output].std[-1]), 3) for output in TIP)
+    return " and ".join(number(float(plans.families[name].moments[output].std[-1]), 3) for output in effort.TIP)
 
 
 def published_table(plans: motion.Plans, coarse: dict[str, float]) -> Table:
     """Published values and those of an independent program, compared with ours."""
-    ours = {name: effort(family) for name, family in plans.families.items()}
+    ours = {name: effort_of(family) for name, family in plans.families.items()}
     columns = motion.over_the_first("Effort", PUBLISHED, ours)
     for name, column in columns.items():
         column[f"Effort, {UNIT}, reference"] = number(REFERENCE[name], 5)
@@ -203,14 +198,14 @@ def spreads_table(plan: al.Solution, families: list[tuple[al.Uniform, al.results
     """The joints' standard deviations at the end by payload: sampled, and by the expansion with its error."""
     rows = []
     for payload, family in families:
-        resolved = kept(f"expansion, payload {payload}", ends, robust_problem(payload=payload), plan.vector)
+        resolved = kept(f"expansion, payload {payload}", ends, effort.robust_problem(payload=payload), plan.vector)
         for name, (std, error) in resolved.items():
             sampled = float(family.moments[name].std[-1])
             rows.append([f"{name}(t_f), {payload}", number(sampled, 3), number(std, 3), percent(error)])
     header = ["", "σ sampled (rad)", "σ by order 5 (rad)", "Leave-one-out error"]
     note = (
-        f"Above {given(100 * TOLERANCE)} % an output counts as unresolved: a solve warns, and means and standard "
-        "deviations are not to be trusted."
+        f"Above {given(100 * effort.TOLERANCE)} % an output counts as unresolved: a solve warns, and means and "
+        "standard deviations are not to be trusted."
     )
     return Table("The robust plan with the payload of this study and with a wider one", header, rows, note)
 
