@@ -150,34 +150,27 @@ class Study(AbstractStudy):
             page.step(f"front over {bound}")
             with executor_of(self.workers) as executor:
                 front = pareto(self._last, bound, values, executor=executor, progress=page.progress, **self.solving)
-            self._show(page, designs, evidence, bound, front)
+            self._show(page, bound, front)
         if self._wishes:
             page.step("trade-off")
             front = trade_off(self._last, self._wishes, self._points, progress=page.progress, **self.solving)
-            self._show(page, designs, evidence, " against ".join(self._wishes), front)
+            self._show(page, " against ".join(self._wishes), front)
         page.append(*trust)
 
-    def _show(
-        self,
-        page: Draft,
-        designs: Mapping[str, Solution],
-        evidence: Mapping[str, Evidence],
-        name: str,
-        front: Front | TradeOff,
-    ) -> None:
+    def _show(self, page: Draft, name: str, front: Front | TradeOff) -> None:
         """Show a front, with evidence on the same systems at each point, so that a choice shows how often it fails."""
         kind, work = ("fronts", f"front over {name}") if isinstance(front, Front) else ("trade-offs", "trade-off")
         page.kept = {**page.kept, kind: {**page.kept.get(kind, {}), name: front}}
-        sampled = None
+        known, is_cut_short = [*page.kept.get("evidence", {}).values()], front.interrupted
         if not front.interrupted and any(one.ok for one in front.solutions):
             page.step(f"evidence along the {work}")
             with executor_of(self.workers) as executor:
                 everyone = {"seed": self._seed, "executor": executor, "progress": page.progress}
                 sampled = validate_all(front, self.samples, **everyone)
             page.kept = {**page.kept, "along": {**page.kept.get("along", {}), name: sampled.by_place}}
-        known = [*evidence.values(), *(() if sampled is None else sampled.by_place.values())]
-        page.append(reporting.trade_offs_section(designs, {name: front}, known))
-        if front.interrupted or (sampled is not None and sampled.interrupted):
+            known, is_cut_short = [*known, *sampled.by_place.values()], sampled.interrupted
+        page.append(reporting.trade_offs_section(page.kept["designs"], {name: front}, known))
+        if is_cut_short:
             page.add(f"{len(front.solutions)} points of the front over {name} are available.")
             raise KeyboardInterrupt
 
