@@ -87,7 +87,7 @@ def chapter(page: Draft, quick: bool) -> None:
     designs = gathered(page, "designs", al.solve, page.study.problems)
     evidence = sampled(page, designs, simulated)
     page.add(designs_table(designs), reporting.violations_table(evidence), printed=True)
-    chosen = {name: (lengths_of(one), widths_of(one)) for name, one in designs.items()}
+    chosen = {name: dimensions(one) for name, one in designs.items()}
     told = (
         "Press play, or drag the slider: mean linkages and random ones, to scale. Their deviations are too small "
         "to be seen here; the next chapter enlarges them."
@@ -157,14 +157,10 @@ def chapter(page: Draft, quick: bool) -> None:
 # --- Designs and counts ----------------------------------------------------------------------------------------------
 
 
-def lengths_of(solution: al.Solution) -> dict[str, float]:
-    """The lengths that a design chose, mm."""
-    return {name: float(solution.decisions[f"{name}.nominal"]) for name in LENGTHS}
-
-
-def widths_of(solution: al.Solution) -> dict[str, float]:
-    """The tolerances and clearances of a design, mm."""
-    return {name: float(solution.decisions[name]) for name in WIDTHS}
+def dimensions(solution: al.Solution) -> tuple[dict[str, float], dict[str, float]]:
+    """The lengths of a design, and its tolerances and clearances, mm."""
+    lengths = {name: float(solution.decisions[f"{name}.nominal"]) for name in LENGTHS}
+    return lengths, {name: float(solution.decisions[name]) for name in WIDTHS}
 
 
 def cost(solution: al.Solution) -> float:
@@ -180,7 +176,7 @@ def designs_table(designs: Mapping[str, al.Solution]) -> Table:
     )
     columns = {}
     for name, one in designs.items():
-        lengths, widths = lengths_of(one), widths_of(one)
+        lengths, widths = dimensions(one)
         columns[name] = {
             f"{PARTS[part]} (mm)": f"{number(size, 5)} ± {number(widths[f'{part}.tolerance'], 3)}"
             for part, size in lengths.items()
@@ -219,7 +215,7 @@ def recommended(designs: Mapping[str, al.Solution], evidence: Mapping[str, al.re
     """The cheapest tolerances with the lengths that suit them."""
     allocated, robust = designs[ALLOCATED], designs[ROBUST]
     price = next(one for one in allocated.constraints if one.name == "zone").shadow_price
-    tightened = [BARS[name] for name, size in widths_of(allocated).items() if size < WIDTHS[name]]
+    tightened = [BARS[name] for name, size in dimensions(allocated)[1].items() if size < WIDTHS[name]]
     return reporting.recommendation(
         allocated,
         evidence[ALLOCATED],

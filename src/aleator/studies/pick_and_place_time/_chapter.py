@@ -82,8 +82,7 @@ def chapter(page: Draft, quick: bool) -> None:
                 f"overload a joint. This agrees with theory: {percent(1 - 1 / np.sqrt(3))} of uniform payloads lie "
                 "outside μ ± σ.",
                 f"If {given(100 * margin.target)} % of the payloads may fail, a = {number(margin.sigmas, 4)} saves "
-                f"{number(1000 * (durations[WORST] - durations[motion.CALIBRATED]), 2, 'ms')}: it is "
-                f"{margin.sentence('payloads')}.",
+                f"{number(1000 * (durations[WORST] - durations[motion.CALIBRATED]), 2, 'ms')}.",
             ],
         )
     )
