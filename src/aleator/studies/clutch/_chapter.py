@@ -1,4 +1,4 @@
-"""The clutch study: table 7.2 by every method, the given tolerances, and the cheapest ones, all counted."""
+"""The clutch study: table 7.2 by every method, the given tolerances, and the cheapest ones."""
 
 import math
 import time
@@ -12,11 +12,11 @@ import aleator as al
 from aleator import reporting
 from aleator._core.border import Progress
 from aleator.journalling import kept
-from aleator.reporting import Code, Drawing, Table, count, given, number, percent, share_text, words
+from aleator.reporting import Code, Drawing, Table, count, given, number, percent, words
 from aleator.studies import clutch
 from aleator.studies._shared import stored, system
 from aleator.studies._study import Draft
-from aleator.studies.clutch import COST, DEVIATION, LIMITS, NAMES, SPECIFICATIONS, TOLERANCES, Tails, worst_case
+from aleator.studies.clutch import COST, DEVIATION, LIMITS, NAMES, SPECIFICATIONS, TOLERANCES, exact_rejects, worst_case
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -33,13 +33,14 @@ PUBLISHED = {
 SPECIFIED = {"limits": "Function: 6° to 8°", "deviation": "Nominal ± 0.6°"}
 GIVEN, CHEAPEST, SAFE = "given", "cheapest", "worst case within limits"
 METHOD_UNITS = {"three_sigma": "degree", "standard_error": "degree", "points": "1", "seconds": "s"}
-SIZE_UNITS = {**dict.fromkeys(TOLERANCES, "mm"), "least_angle": "degree", "largest_angle": "degree"}
+SIZE_UNITS = {**dict.fromkeys(TOLERANCES, "mm"), **dict.fromkeys(("least_angle", "largest_angle"), "degree")}
+SIZE_UNITS |= dict.fromkeys(("below_limits", "above_limits", "below_deviation", "above_deviation"), "1")
 ANALYSIS_UNITS = {
     **dict.fromkeys(("nominal", "mean", "std", "lower", "upper", "rss", "linear_std"), "degree"),
     **dict.fromkeys(("skewness", "kurtosis", "cp", "cpk"), "1"),
     **dict.fromkeys(("rejects_low", "rejects_high"), "ppm"),
 }
-"""What is stored of each method, each set of tolerances with its worst case, and each analysis, with units."""
+"""What is stored with units of each method, each set of tolerances with its worst case and rejects, each analysis."""
 
 TITLE = "One-way clutch: tolerance analysis and allocation"
 SUBTITLE = "Pressure angle of a roller clutch from its vector loop; dissertation, section 7.2"
@@ -62,9 +63,7 @@ def problems() -> dict[str, al.Problem]:
 
 
 def chapter(page: Draft, quick: bool) -> None:
-    """Section 7.2, with a tolerance analysis under two specifications and counts in closed form."""
-    counted, validated = (2_000_000, 100_000) if quick else (20_000_000, 1_000_000)
-
+    """Section 7.2, with a tolerance analysis under two specifications."""
     page.section("The clutch")
     told = (
         "A quarter of the clutch, to scale. The vectors (length ∠ direction) close, (121): a∠90° + b∠0° + c∠90° + "
@@ -88,25 +87,26 @@ def chapter(page: Draft, quick: bool) -> None:
     page.keep("analyses", stored("specification", numbers, ANALYSIS_UNITS))
     shares = {name: (one.linear, one.total) for name, one in analyses["limits"].contributions.items()}
     page.keep("contributions", stored("dimension", shares, {"linear_share": "percent", "total_share": "percent"}))
-    counts = {GIVEN: tails_counted(page, GIVEN, TOLERANCES, counted)}
     told = (
         "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one. Shaded: "
-        "counted rejects, in parts per million. Those beyond the function's limits are so few that only a logarithmic "
+        "rejects, in parts per million. Those beyond the function's limits are so few that only a logarithmic "
         "axis shows them."
     )
-    densities = [density(name, one, counts[GIVEN][name]) for name, one in analyses.items()]
+    densities = [density(name, one) for name, one in analyses.items()]
     page.add(Drawing(densities, "Distribution of the angle, limits and rejects", told))
 
     page.section("Allocation")
     allowed = analyses["deviation"].rejects / 1e6
     design = al.solve(clutch.allocation_problem(allowed))
     page.keep("allocation", design)
-    evidence = al.validate(design, validated, seed=1, progress=page.progress)
+    evidence = al.validate(design, 100_000 if quick else 1_000_000, seed=1, progress=page.progress)
     page.keep("evidence", evidence)
     cheapest = clutch.tolerances_of(design)
     tolerances = {GIVEN: TOLERANCES, CHEAPEST: cheapest, SAFE: clutch.worst_case_tolerances()}
-    counts |= {name: tails_counted(page, name, tolerances[name], counted) for name in (CHEAPEST, SAFE)}
-    sizes = {name: (*widths.values(), *worst_case(widths)) for name, widths in tolerances.items()}
+    sizes = {
+        name: (*widths.values(), *worst_case(widths), *exact_rejects(widths), *exact_rejects(widths, DEVIATION))
+        for name, widths in tolerances.items()
+    }
     page.keep("tolerances", stored("tolerances", sizes, SIZE_UNITS))
     wider, tighter = (
         [NAMES[part] for part in cheapest if (cheapest[part] > TOLERANCES[part]) is is_wider]
@@ -129,7 +129,7 @@ def chapter(page: Draft, quick: bool) -> None:
         )
     )
     expected = next(limit.worst for limit in design.constraints if limit.name == "rejects")
-    page.add(counts_table(tolerances, counts, {GIVEN: allowed, CHEAPEST: expected}), printed=True)
+    page.add(tolerances_table(tolerances, {GIVEN: allowed, CHEAPEST: expected}), printed=True)
     bars = {name: {NAMES[part]: width for part, width in widths.items()} for name, widths in tolerances.items()}
     page.add(Drawing([reporting.bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after"))
     allowances = np.geomspace(0.05, 1e-6, 4 if quick else 11)
@@ -141,14 +141,6 @@ def chapter(page: Draft, quick: bool) -> None:
 
     page.section("Certificate", folded=True)
     page.add(reporting.certificate_table({CHEAPEST: design}))
-
-
-def tails_counted(page: Draft, name: str, tolerances: Mapping[str, float], samples: int) -> dict[str, Tails]:
-    """The rejects of some tolerances by each specification, kept under their name."""
-    counted = kept(f"rejects, {name}", clutch.count_rejects, tolerances, samples, progress=page.progress)
-    rows = {one: (tails.low.count, tails.high.count, samples) for one, tails in counted.items()}
-    page.keep("counts", {name: stored("specification", rows, dict.fromkeys(("low", "high", "assemblies"), "1"))})
-    return counted
 
 
 # --- The methods of table 7.2 ----------------------------------------------------------------------------------------
@@ -233,10 +225,10 @@ def times_cheaper(methods: Mapping[str, Method], exact: float) -> float:
     return sampled.seconds / expanded.seconds * (sampled.standard_error / abs(expanded.three_sigma - exact)) ** 2
 
 
-# --- Rejects, counted ------------------------------------------------------------------------------------------------
+# --- Tolerances and rejects ------------------------------------------------------------------------------------------
 
 
-def density(name: str, one: al.results.ToleranceAnalysis, counted: Tails) -> "Figure":
+def density(name: str, one: al.results.ToleranceAnalysis) -> "Figure":
     """The distribution against the limits of one specification, with the rejects beyond them."""
     function = name == "limits"
     reach = (6.5 if function else 5.0) * one.std
@@ -248,40 +240,33 @@ def density(name: str, one: al.results.ToleranceAnalysis, counted: Tails) -> "Fi
         x="Pressure angle χ",
         unit="°",
         limits=(one.lower, one.upper),
-        tails=[f"{number(1e6 * side.estimate, 3)}\nppm" for side in counted],
+        tails=[f"{number(1e6 * share, 3)}\nppm" for share in exact_rejects(TOLERANCES, SPECIFICATIONS[name])],
         logarithmic=function,
         title=SPECIFIED[name],
     )
 
 
-def counts_table(
-    tolerances: Mapping[str, Mapping[str, float]],
-    counts: Mapping[str, Mapping[str, Tails]],
-    expanded: Mapping[str, float],
-) -> Table:
-    """The given, the cheapest and the safe tolerances, each with a count and the exact worst case."""
+def tolerances_table(tolerances: Mapping[str, Mapping[str, float]], expanded: Mapping[str, float]) -> Table:
+    """The given, the cheapest and the safe tolerances, each with its exact rejects and worst case."""
     note = (
         f"Specification of the allocation: {number(DEVIATION[0], 5)}° to {number(DEVIATION[1], 5)}°, with no more "
-        f"rejects than the given tolerances have. {count(counts[GIVEN]['limits'].low.samples)} assemblies counted for "
-        "each column, in closed form; 95 % confidence intervals in brackets. The worst case is over all dimensions "
-        "within their tolerances. Dimensions are normally distributed, and one part in 370 lies outside its "
-        "tolerance: a few assemblies may exceed the limits even where the worst case does not."
+        "rejects than the given tolerances have. Rejects and worst case are exact, by the closed form. The worst case "
+        "is over all dimensions within their tolerances. Dimensions are normally distributed, and one part in 370 lies "
+        "outside its tolerance: a few assemblies may exceed the limits even where the worst case does not."
     )
     columns = {}
     for name, widths in tolerances.items():
-        function, outside = counts[name]["limits"], counts[name]["deviation"].either
+        below, above = exact_rejects(widths)
         columns[name.capitalize()] = {
             **{f"{NAMES[part]}, ± (mm)": number(widths[part], 4) for part in TOLERANCES},
             f"Cost {COST} (1/mm)": number(clutch.cost(widths), 4),
             "Worst case": worst_text(widths),
-            f"Below {given(LIMITS[0])}°, counted (ppm)": per_million(function.low),
-            f"Above {given(LIMITS[1])}°, counted (ppm)": per_million(function.high),
-            "Both, counted (ppm)": per_million(function.either),
-            "Both, exact (ppm)": number(1e6 * sum(clutch.exact_rejects(widths)), 3),
-            "Outside nominal ± 0.6°, counted": share_text(outside),
+            f"Below {given(LIMITS[0])}° (ppm)": number(1e6 * below, 3),
+            f"Above {given(LIMITS[1])}° (ppm)": number(1e6 * above, 3),
+            "Outside nominal ± 0.6°": percent(sum(exact_rejects(widths, DEVIATION))),
             "Outside nominal ± 0.6°, by the expansion": percent(expanded[name]) if name in expanded else "–",
         }
-    return reporting.side_by_side("Three sets of tolerances, counted", columns, note)
+    return reporting.side_by_side("Three sets of tolerances", columns, note)
 
 
 def worst_text(tolerances: Mapping[str, float]) -> str:
@@ -289,9 +274,3 @@ def worst_text(tolerances: Mapping[str, float]) -> str:
     ends = [f"{number(end, 4)}°" for end in worst_case(tolerances)]
     limits = [f"{given(limit)}°" for limit in clutch.broken(tolerances)]
     return f"{' to '.join(ends)}, {f'breaks {words(limits)}' if limits else 'within the limits'}"
-
-
-def per_million(share: al.results.Proportion) -> str:
-    """A count as parts per million, with its confidence interval: `9.1 [8.4 to 9.8]`."""
-    ends = (number(1e6 * end, 3) for end in (share.lower, share.upper))
-    return f"{number(1e6 * share.estimate, 3)} [{' to '.join(ends)}]"
