@@ -11,11 +11,11 @@ from aleator import extending as ext
 from aleator.studies import load
 from aleator.studies.clutch import (
     MEANS,
+    SPECIFICATIONS,
     TOLERANCES,
     broken,
     clutch,
     cost,
-    count_rejects,
     exact_rejects,
     exact_variation,
     pressure_angle,
@@ -67,11 +67,14 @@ def test_the_worst_case_is_the_extreme_of_all_corners_of_the_tolerances():
 
 
 def test_counted_rejects_are_those_of_the_exact_tails():
-    wide = {name: 1.5 * tolerance for name, tolerance in TOLERANCES.items()}
-    counts = count_rejects(wide, 2_000_001)  # not a whole number of batches
-    assert counts["deviation"].either.samples == 2_000_001
-    for one, exact in zip(counts["limits"], exact_rejects(wide), strict=True):
-        assert one.lower < exact < one.upper
+    wide, samples = {name: 1.5 * tolerance for name, tolerance in TOLERANCES.items()}, 2_000_000
+    drawn = np.random.default_rng(2).standard_normal((len(MEANS), samples))
+    angle = pressure_angle(*(MEANS[name] + wide[name] / 3 * row for name, row in zip(MEANS, drawn, strict=True)))
+    for limits in SPECIFICATIONS.values():
+        counts = np.sum(angle < limits[0]), np.sum(angle > limits[1])
+        for count, exact in zip(counts, exact_rejects(wide, limits), strict=True):
+            one = al.results.Proportion(int(count), samples)
+            assert one.lower < exact < one.upper
     low, high = exact_rejects(TOLERANCES)  # one sum of normal parts a limit
     assert (low, high) == pytest.approx((8.2556e-6, 8.3914e-7), rel=1e-3)
 

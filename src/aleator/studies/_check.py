@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import jax
 import numpy as np
@@ -16,12 +16,11 @@ from aleator.examining import examine
 from aleator.reporting import Code, Table, number, side_by_side
 from aleator.studies._own import Study, problems_of
 from aleator.studies._study import AbstractStudy
-from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+from aleator.transcription import DEFAULT, transcribe
 from aleator.uncertainty import fields_of
 
 # Evaluations of a typical solve by derivatives, for predictions.
 _EVALUATIONS = 30
-_SECONDS = "{:.2g} s"
 
 
 @final
@@ -38,9 +37,14 @@ class Check:
     def __init__(self, study: AbstractStudy):
         self._problems, self.troubles = problems_of(study), list[str]()
         self._solves, samples = (study.solves, study.samples) if isinstance(study, Study) else (0, None)
-        self.facts = dict[str, dict[str, Any]]()
+        self.facts = {name: _facts(one, samples) for name, one in self._problems.items()}
         for name, problem in self._problems.items():
-            self.facts[name], troubles = _facts(problem, samples)
+            try:
+                found = examine(problem)
+                troubles = [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
+                self.facts[name]["derivatives_agree"] = found.ok
+            except SimulationError as error:
+                troubles, self.facts[name]["derivatives_agree"] = [str(error)], False
             self.troubles += [f"{name}: {trouble}" for trouble in troubles]
 
     def mathematics(self) -> list[Code]:
@@ -49,9 +53,7 @@ class Check:
 
     def numbers(self) -> Table | None:
         """The numbers of each model in the units that it declares, as a file may have changed them."""
-        columns = {
-            name: {key: str(one) for key, one in _numbers(each).items()} for name, each in self._problems.items()
-        }
+        columns = {name: _numbers_text(one) for name, one in self._problems.items()}
         return side_by_side("Numbers of the model", columns) if any(columns.values()) else None
 
     def table(self) -> Table:
@@ -63,46 +65,42 @@ class Check:
 
     def document(self) -> Mapping[str, Any]:
         """The same for programs."""
-        return {
-            name: {**facts, "numbers": {key: one._asdict() for key, one in _numbers(self._problems[name]).items()}}
-            for name, facts in self.facts.items()
-        }
+        return {name: {**facts, "numbers": _numbers(self._problems[name])} for name, facts in self.facts.items()}
 
 
-class _Number(NamedTuple):
-    """A number of a model, or the distribution or decision in its place, in its unit."""
-
-    value: float | str
-    unit: str
-
-    def __str__(self) -> str:
-        value = self.value if isinstance(self.value, str) else f"{self.value:.7g}"
-        return f"{value} {'' if self.unit == '-' else self.unit}".rstrip()
-
-
-def _numbers(problem: Problem) -> dict[str, _Number]:
-    """The numbers of a model by name, as a file may have changed them."""
-    numbers = dict[str, _Number]()
+def _numbers(problem: Problem) -> dict[str, dict[str, Any]]:
+    """The numbers of a model by name: each its value, or the distribution or decision in its place, and its unit."""
+    numbers = {}
     for name, field, value in fields_of(problem.system):
         is_number = isinstance(value, int | float | np.generic | np.ndarray | jax.Array) and not isinstance(value, bool)
-        unit = field.metadata.get("unit", "")
         if isinstance(value, AbstractLeaf):
-            numbers[name] = _Number(str(value), unit)
+            numbers[name] = {"value": str(value)}
         elif is_number and not field.metadata.get("static", False) and np.ndim(value) == 0:
-            numbers[name] = _Number(float(value), unit)
+            numbers[name] = {"value": float(value)}
+        if name in numbers:
+            numbers[name]["unit"] = field.metadata.get("unit", "")
     return numbers
 
 
-def _facts(problem: Problem, samples: int | None) -> tuple[dict[str, Any], list[str]]:
-    """What is known of a problem, and what may stop a solver."""
+def _numbers_text(problem: Problem) -> dict[str, str]:
+    texts = {}
+    for name, one in _numbers(problem).items():
+        value = one["value"] if isinstance(one["value"], str) else f"{one['value']:.7g}"
+        texts[name] = value if one["unit"] in ("", "-") else f"{value} {one['unit']}"
+    return texts
+
+
+def _facts(problem: Problem, samples: int | None) -> dict[str, Any]:
+    """What is known of a problem."""
     began = time.perf_counter()
     transcribed = transcribe(problem, DEFAULT)
-    compiled = time.perf_counter() - began
-    each = _seconds(transcribed)
-    agree, troubles = _examined(problem)
-    basis, collocation = transcribed.basis, transcribed.collocation
-    rows, decisions = len(transcribed.program.constraint_lower), problem.placements.size
-    facts = {
+    compiled = time.perf_counter()
+    program, basis, collocation = transcribed.program, transcribed.basis, transcribed.collocation
+    # Derivatives as well, at a point that is not remembered.
+    program.evaluate(np.clip(program.start + 1e-6 * program.variable_scale, program.lower, program.upper))
+    evaluated = time.perf_counter()
+    rows, decisions = len(program.constraint_lower), problem.placements.size
+    return {
         "decisions": decisions,
         "uncertain": basis.variables,
         "instants": problem.grid.steps + 1 if isinstance(problem.grid, Grid) else None,
@@ -111,15 +109,14 @@ def _facts(problem: Problem, samples: int | None) -> tuple[dict[str, Any], list[
         "points": len(collocation.points),
         "condition_number": float(collocation.condition_number),
         "rows": rows,
-        "derivatives_agree": agree,
-        "seconds_to_compile": compiled,
-        "seconds_of_evaluation": each,
+        "derivatives_agree": False,
+        "seconds_to_compile": compiled - began,
+        "seconds_of_evaluation": evaluated - compiled,
         "samples": samples,
         # Of a solve, and of its evidence.
         "simulations": _EVALUATIONS * len(collocation.points) + (samples or 0 if basis.variables else 1),
         "bytes_of_derivatives": NUMBER * rows * (1 + decisions),
     }
-    return facts, troubles
 
 
 def _column(facts: Mapping[str, Any]) -> dict[str, str]:
@@ -134,28 +131,10 @@ def _column(facts: Mapping[str, Any]) -> dict[str, str]:
         "condition number": number(facts["condition_number"], 3),
         "rows of limits": f"{facts['rows']}",
         "derivatives": "agree with differences" if facts["derivatives_agree"] else "see below",
-        "compilation": _SECONDS.format(facts["seconds_to_compile"]),
-        "one evaluation": _SECONDS.format(facts["seconds_of_evaluation"]),
-        "one solve": f"about {_SECONDS.format(_EVALUATIONS * facts['seconds_of_evaluation'])}",
+        "compilation": f"{facts['seconds_to_compile']:.2g} s",
+        "one evaluation": f"{facts['seconds_of_evaluation']:.2g} s",
+        "one solve": f"about {_EVALUATIONS * facts['seconds_of_evaluation']:.2g} s",
         "samples": sampled if random else "one system, on a finer grid",
         "simulations": f"about {facts['simulations']}",
         "memory of derivatives": f"{size / 2**20:.2g} MiB" if size < 2**30 else f"{size / 2**30:.2g} GiB",
     }
-
-
-def _examined(problem: Problem) -> tuple[bool, list[str]]:
-    """Whether the derivatives at the start agree with differences, and what may stop a solver there."""
-    try:
-        found = examine(problem)
-    except SimulationError as error:
-        return False, [str(error)]
-    return found.ok, [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
-
-
-def _seconds(transcribed: AbstractTranscribed) -> float:
-    """The time of one evaluation with derivatives, at a point that is not remembered."""
-    program = transcribed.program
-    moved = np.clip(program.start + 1e-6 * program.variable_scale, program.lower, program.upper)
-    began = time.perf_counter()
-    program.evaluate(moved)
-    return time.perf_counter() - began

@@ -7,7 +7,6 @@ import sys
 import traceback
 from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from aleator._core.border import meant, one_of
@@ -17,15 +16,56 @@ from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy, CaseStudy
 from aleator_command._studies import STUDIES as STUDIES
 
+# A module with a package or an object, or both.
+_MODULE = re.compile(r"\w+(\.\w+)+(:\w+)?|\w+:\w+")
+
+
+def load(name: str, *, quick: bool = False) -> AbstractStudy:
+    """A study ready to run, by its name, its Python file or its module; `quick` makes it small enough for a first look.
+
+    Raises `ProblemError` for an unknown name, and for a file that declares no study, or no quick one if that is asked.
+    """
+    if name in STUDIES:
+        return CaseStudy(importlib.import_module(f"aleator.studies.{name.replace('-', '_')}._chapter"), quick=quick)
+    if name.endswith(".py"):
+        study = load_file(Path(name))
+    elif name.endswith(".toml"):
+        from aleator.studies._toml import load_toml  # which imports pydantic
+
+        importable(Path(name).parent)
+        study = load_toml(Path(name), load_module)
+    elif _MODULE.fullmatch(name):
+        study = load_module(name)
+    else:
+        own = name if name.isidentifier() else "bracket"
+        raise ProblemError(
+            f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
+            f"your own, such as {own}.py (`aleator new {own}.py` begins one)."
+        )
+    if quick and not isinstance(study, Study):
+        raise ProblemError(f"{name}: its study is a {type(study).__name__}, which has no quick form: run it in full.")
+    return study.quickened() if quick and isinstance(study, Study) else study
+
 
 def load_file(path: Path) -> AbstractStudy:
-    """The study that a Python file declares; the file is executed.
+    """The study that a Python file declares; it is executed as a module of its name, which other processes find.
 
     Raises `ProblemError`, naming the file and the line, if it cannot be read, raises, or declares no study.
     """
-    if not path.is_file():
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
         raise ProblemError(f"There is no file '{path}'. `aleator new {path}` begins a study there.")
-    return _study_of(str(path), vars(_executed(path)))
+    importable(path.parent)  # modules beside it, as for `python FILE.py`
+    before, module = sys.modules.get(path.stem), importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[path.stem]
+        if before is not None:
+            sys.modules[path.stem] = before
+        raise _refused(str(path), error) from error
+    return _study_of(str(path), vars(module))
 
 
 def load_module(place: str) -> AbstractStudy:
@@ -38,6 +78,9 @@ def load_module(place: str) -> AbstractStudy:
     importable(Path.cwd())
     try:
         module = importlib.import_module(name)
+        declared = getattr(module, attribute, None) if attribute else None
+        if callable(declared) and not isinstance(declared, AbstractStudy | Problem):
+            declared = declared()
     except ModuleNotFoundError as error:
         missing = error.name or name
         if name == missing or name.startswith(f"{missing}."):
@@ -45,7 +88,11 @@ def load_module(place: str) -> AbstractStudy:
         raise ProblemError(f"{place}: it imports '{missing}', which is not installed.") from error
     except Exception as error:
         raise _refused(place, error) from error
-    return _study_of(place, {"study": _attribute(place, module, attribute)} if attribute else vars(module))
+    if attribute and not hasattr(module, attribute):
+        raise ProblemError(f"{place}: the module has no '{attribute}'.{meant(attribute, dir(module))}")
+    if isinstance(declared, Problem):
+        return Study(declared, title=attribute.replace("_", " ").capitalize())
+    return _study_of(place, {"study": declared} if attribute else vars(module))
 
 
 def importable(*folders: Path) -> None:
@@ -53,18 +100,6 @@ def importable(*folders: Path) -> None:
     places = [f"{folder.resolve()}" for folder in folders]
     if sys.path[: len(places)] != places:
         sys.path[:0] = places
-
-
-def _attribute(place: str, module: ModuleType, name: str) -> Any:
-    if not hasattr(module, name):
-        raise ProblemError(f"{place}: the module has no '{name}'.{meant(name, dir(module))}")
-    found = getattr(module, name)
-    if callable(found) and not isinstance(found, AbstractStudy | Problem):
-        try:
-            found = found()
-        except Exception as error:
-            raise _refused(place, error) from error
-    return Study(found, title=name.replace("_", " ").capitalize()) if isinstance(found, Problem) else found
 
 
 def _study_of(owner: str, declared: Mapping[str, Any]) -> AbstractStudy:
@@ -86,63 +121,6 @@ def _refused(owner: str, error: BaseException) -> ProblemError:
     kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == Path(owner).resolve()]
-    return ProblemError(f"{owner}{f', line {lines[-1]}' if lines else ''}: {kind}{error}")
-
-
-def _executed(path: Path) -> ModuleType:
-    """A file as a module under its own name, so that its classes can be found by other processes."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise ProblemError(f"'{path}': expected a Python file, with a name that ends in .py.")
-    module = importlib.util.module_from_spec(spec)
-    before = sys.modules.get(path.stem)
-    sys.modules[path.stem] = module
-    importable(path.parent)  # modules beside it, as for `python FILE.py`
-    try:
-        spec.loader.exec_module(module)
-    except SyntaxError as error:
-        is_own = error.filename is None or Path(error.filename).resolve() == path.resolve()
-        raise ProblemError(f"{path if is_own else error.filename}, line {error.lineno}: {error.msg}.") from error
-    except (Exception, SystemExit) as error:
-        if before is None:
-            del sys.modules[path.stem]
-        else:
-            sys.modules[path.stem] = before
-        raise _refused(str(path), error) from error
-    return module
-
-
-# A module with a package or an object, or both.
-_MODULE = re.compile(r"\w+(\.\w+)+(:\w+)?|\w+:\w+")
-
-
-def load(name: str, *, quick: bool = False) -> AbstractStudy:
-    """A study ready to run, by its name, its Python file or its module; `quick` makes it small enough for a first look.
-
-    Raises `ProblemError` for an unknown name, and for a file that declares no study, or no quick one if that is asked.
-    """
-    if name.endswith((".toml", ".py")) or _MODULE.fullmatch(name):
-        return _own(name, quick)
-    if name not in STUDIES:
-        own = name if name.isidentifier() else "bracket"
-        raise ProblemError(
-            f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
-            f"your own, such as {own}.py (`aleator new {own}.py` begins one)."
-        )
-    return CaseStudy(importlib.import_module(f"aleator.studies.{name.replace('-', '_')}._chapter"), quick=quick)
-
-
-def _own(name: str, quick: bool) -> AbstractStudy:
-    """A study of a file or a module."""
-    if name.endswith(".toml"):
-        from aleator.studies._toml import load_toml  # which imports pydantic
-
-        importable(Path(name).parent)
-        study = load_toml(Path(name), load_module)
-    else:
-        study = load_file(Path(name)) if name.endswith(".py") else load_module(name)
-    if not quick:
-        return study
-    if not isinstance(study, Study):
-        raise ProblemError(f"{name}: its study is a {type(study).__name__}, which has no quick form: run it in full.")
-    return study.quickened()
+    if isinstance(error, SyntaxError):  # in no frame yet
+        owner, lines, kind = error.filename or owner, [error.lineno], ""
+    return ProblemError(f"{owner}{f', line {lines[-1]}' if lines else ''}: {kind}{getattr(error, 'msg', error)}")

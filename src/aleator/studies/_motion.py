@@ -12,21 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 import aleator as al
+from aleator import reporting
 from aleator.journalling import kept
-from aleator.reporting import (
-    Code,
-    Drawing,
-    Scene,
-    Verdict,
-    bands_figure,
-    certificate_table,
-    linkage_animation,
-    looks,
-    plane_figure,
-    recommendation,
-    words,
-)
-from aleator.studies._shared import signed
+from aleator.reporting import Code, Drawing, Verdict, number
 from aleator.studies._study import Draft
 
 if TYPE_CHECKING:
@@ -46,6 +34,14 @@ Outputs = Mapping[str, Float[np.ndarray, "..."]]
 
 
 # --- Plans ---------------------------------------------------------------------------------------------------------
+
+
+class Plans(NamedTuple):
+    """The plans of a study by name, how often fresh systems break their limits, and how random ones move."""
+
+    solutions: dict[str, al.Solution]
+    evidence: dict[str, al.results.Evidence]
+    families: dict[str, al.results.Motions]
 
 
 def search(page: Draft, name: str, problem: al.Problem, starts: int | Sequence[Mapping[str, Any]]) -> al.results.Starts:
@@ -70,16 +66,22 @@ def calibrated(page: Draft, problem: al.Problem, limits: Sequence[str], samples:
     return margin
 
 
-def counted(
-    page: Draft, plans: Mapping[str, al.Solution], samples: int, margin: al.results.Calibration | None
-) -> dict[str, al.results.Evidence]:
-    """How often fresh systems break the limits of each plan; for a calibrated one this is known."""
-    evidence = {}
+def judged(
+    page: Draft,
+    searches: Mapping[str, al.results.Starts],
+    margin: al.results.Calibration | None,
+    samples: int,
+    systems: int,
+) -> Plans:
+    """The plans that were found, and the calibrated one if there is a margin, on fresh systems and on random ones."""
+    plans, evidence = {name: one.best for name, one in searches.items()}, dict[str, al.results.Evidence]()
+    if margin is not None:
+        plans[CALIBRATED] = margin.solution
     for name, plan in plans.items():
         known = margin.evidence if margin is not None and name == CALIBRATED else None
         evidence[name] = known or al.validate(plan, samples, seed=1, keep=25, progress=page.progress)
         page.keep("evidence", {name: evidence[name]})
-    return evidence
+    return Plans(plans, evidence, {name: flown(name, plan, systems) for name, plan in plans.items()})
 
 
 def flown(name: str, plan: al.Solution, systems: int, problem: al.Problem | None = None) -> al.results.Motions:
@@ -88,11 +90,11 @@ def flown(name: str, plan: al.Solution, systems: int, problem: al.Problem | None
     return kept(f"systems, {name}", al.simulate_systems, at_design, systems, seed=2)
 
 
-def held_at_instants(page: Draft, plans: Mapping[str, al.Solution], names: Iterable[str]) -> dict[str, al.Solution]:
-    """The plans whose limits hold at the instants alone, as in the programs that they are compared with."""
+def held_at_instants(page: Draft, plans: Mapping[str, al.Solution], names: Iterable[str]) -> dict[str, float]:
+    """The objectives of plans whose limits hold at the instants alone, as in the programs they are compared with."""
     coarse = {name: al.solve(plans[name].problem, start=plans[name].decisions, between=1) for name in names}
     page.keep("at_instants", coarse)
-    return coarse
+    return {name: plan.objective for name, plan in coarse.items()}
 
 
 def to_build(
@@ -103,9 +105,9 @@ def to_build(
     All limits of a calibrated plan have to hold as often as those with a margin.
     """
     if margin is None:
-        return recommendation(printed, evidence, target=TARGET, **said)
+        return reporting.recommendation(printed, evidence, target=TARGET, **said)
     shares = [one for one in (margin.confirmation, margin.evidence and margin.evidence.joint) if one is not None]
-    return recommendation(
+    return reporting.recommendation(
         margin.solution,
         margin.evidence,
         nominal=printed,
@@ -116,15 +118,7 @@ def to_build(
     )
 
 
-# --- Texts ---------------------------------------------------------------------------------------------------------
-
-
-def duration(plan: al.Solution) -> float:
-    """The duration of a plan, s."""
-    return float(plan.instants[-1])
-
-
-def add_trust(page: Draft, searches: Mapping[str, al.results.Starts], plans: Mapping[str, al.Solution]) -> None:
+def add_trust(page: Draft, searches: Mapping[str, al.results.Starts], plans: Plans) -> None:
     """Append how far plans can be trusted: the local optima of each search, and the certificates."""
     page.section("Local optima", folded=True)
     note = (
@@ -133,31 +127,20 @@ def add_trust(page: Draft, searches: Mapping[str, al.results.Starts], plans: Map
     )
     page.add(note, *(Code(name.capitalize(), str(search), opened=True) for name, search in searches.items()))
     page.section("Certificate", folded=True)
-    page.add(certificate_table(plans))
+    page.add(reporting.certificate_table(plans.solutions))
 
 
-def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str) -> str:
-    """Whether `what` agrees between plans of the same names, in a sentence; others are relative to the first plan.
-
-    Signs agree if every plan changes the first one's value in the same direction, orders if they are the same from
-    smallest to largest, sizes if the relative changes differ by at most a tenth of the published ones.
-    """
-    names = [name for name in printed if name in ours]
-    if len(names) < 2:
-        return ""
-    theirs, changes = (np.array([one[name] / one[names[0]] - 1 for name in names[1:]]) for one in (printed, ours))
-    agreement = {
-        "signs": bool(np.all(np.sign(theirs) == np.sign(changes))),
-        "order": sorted(names, key=printed.__getitem__) == sorted(names, key=ours.__getitem__),
-        "sizes": bool(np.all(np.abs(changes - theirs) <= 0.1 * np.abs(theirs))),
+def over_the_first(what: str, printed: Mapping[str, float], ours: Mapping[str, float]) -> dict[str, dict[str, str]]:
+    """By plan, what can be compared with values of another arm, or of sums over unstated samples: their ratios."""
+    first = next(iter(printed))
+    return {
+        name: {
+            f"{what} over that of the first, published": number(printed[name] / printed[first], 3),
+            "– ours, likewise": number(ours[name] / ours[first], 3),
+        }
+        for name in printed
+        if name in ours
     }
-    yes, no = ([one for one, agrees in agreement.items() if agrees is side] for side in (True, False))
-    parts = [f"{words(yes)} agree"] * bool(yes) + [f"{words(no)} do not{'' if yes else ' agree'}"] * bool(no)
-    listed = [
-        f"{name} {signed(one)} (published {signed(other)})"
-        for name, one, other in zip(names[1:], changes, theirs, strict=True)
-    ]
-    return f"Of {what}, {', '.join(parts)}: relative to {names[0]}, {words(listed)}."
 
 
 # --- Figures -------------------------------------------------------------------------------------------------------
@@ -167,43 +150,40 @@ class Linkage(NamedTuple):
     """Two links in the plane, with their fixed joint at the origin.
 
     - `elbow`: its place from the outputs, m; `posture`, `target`: the joints' angles (rad) and the tip (m) at the end;
-    - `scene`: what stands around it.
+    - `scene`: what stands around it; `broken`: which systems break a limit.
     """
 
     elbow: Callable[[Outputs], Float[np.ndarray, "... 2"]]
     posture: Sequence[float]
     target: Sequence[float]
-    scene: Scene
+    scene: reporting.Scene
+    broken: Callable[[al.results.Motions], Bool[np.ndarray, " systems"]]
 
     def joints(self, outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
         """Base, elbow and tip, m."""
         tip = np.stack([outputs["tip_x"], outputs["tip_y"]], axis=-1)
         return np.stack([np.zeros_like(tip), self.elbow(outputs), tip], axis=-2)
 
-    def animation(self, families: Mapping[str, al.results.Motions], every: Sequence[str], figure: str = "") -> Drawing:
-        """Plans on their systems, side by side; `every` are all plans of the study, which determines the colours."""
-        figures = [
-            linkage_animation(
-                np.asarray(one.times),
-                self.joints(one.systems),
-                self.joints(one.systems)[median(one)],
-                look=looks(every)[name],
-                scene=self.scene,
-                target=self.target,
-                title=name.capitalize(),
-            )
-            for name, one in families.items()
-        ]
+    def animation(self, plans: Plans, names: Sequence[str], figure: str = "") -> Drawing:
+        """Plans of these names on their systems, side by side."""
+        figures = []
+        for name in names:
+            family = plans.families[name]
+            moving, around = self.joints(family.systems), self._around(name, plans)
+            still = np.asarray(family.times), moving, moving[median(family)]
+            figures.append(reporting.linkage_animation(*still, **around))
         caption = "Press play, or drag the slider. Thin: random systems under the same plan. Thick: the median one."
         return Drawing(figures, "The plans in motion", caption, figure)
 
-    def paths(
-        self, name: str, family: al.results.Motions, broken: Bool[np.ndarray, " systems"], every: Sequence[str]
-    ) -> "Figure":
-        """The path of each system's tip, and which systems break a limit."""
-        tips, at, look = self.joints(family.systems)[..., -1, :], median(family), looks(every)[name]
-        around = {"scene": self.scene, "target": self.target}
-        return plane_figure(tips, tips[at], look=look, broken=broken, title=name.capitalize(), **around)
+    def paths(self, name: str, family: al.results.Motions, plans: Plans) -> "Figure":
+        """The path of each system's tip under the plan of this name, and which systems break a limit."""
+        tips = self.joints(family.systems)[..., -1, :]
+        around = self._around(name, plans)
+        return reporting.plane_figure(tips, tips[median(family)], broken=self.broken(family), **around)
+
+    def _around(self, name: str, plans: Plans) -> dict[str, Any]:
+        look = reporting.looks(plans.solutions)[name]
+        return {"look": look, "scene": self.scene, "target": self.target, "title": name.capitalize()}
 
     def histories(self, family: al.results.Motions) -> list["Figure"]:
         """Both joints' angles and the place of the tip over time, with their targets."""
@@ -224,7 +204,7 @@ def median(family: al.results.Motions) -> int:
 def bands(family: al.results.Motions, names: Mapping[str, str], **more: Any) -> "Figure":
     """Outputs of all systems over time; `names` by their labels."""
     rows = {label: family.systems[name] for label, name in names.items()}
-    return bands_figure(np.asarray(family.times), rows, **more)
+    return reporting.bands_figure(np.asarray(family.times), rows, **more)
 
 
 def torques_figure(family: al.results.Motions, names: Mapping[str, str], limit: float, title: str = "") -> "Figure":

@@ -1,8 +1,8 @@
 """`Study`: a study of one's own, declared by its problems alone; `SweptStudy`: a design along a bound."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from copy import copy
 from dataclasses import replace
 from typing import Any, final
@@ -10,27 +10,12 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
+from aleator import reporting
 from aleator._core.border import a_name, meant, one_of, positive, real_array, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.reporting import (
-    TARGET,
-    Section,
-    Verdict,
-    certificate_table,
-    count,
-    designs_table,
-    evidence_sections,
-    evidence_table,
-    front_table,
-    number,
-    proposal,
-    sections,
-    trade_offs_section,
-    violations_table,
-    words,
-)
+from aleator.reporting import TARGET, Section, Verdict, count, number, words
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._study import AbstractStudy, Draft
@@ -122,10 +107,7 @@ class Study(AbstractStudy):
     @override
     def with_workers(self, count: int) -> "Study":
         if not (self._sweeps or self._wishes):
-            raise ProblemError(
-                f"--workers {count}: the study '{self.title}' has nothing to share among processes: expected "
-                "`sweeps` or `wishes`. A single solve takes all cores of the machine by itself."
-            )
+            super().with_workers(count)
         shared = copy(self)
         shared.workers = whole("Study: workers", count)
         return shared
@@ -150,52 +132,45 @@ class Study(AbstractStudy):
             page.progress(f"design {name}: {in_brief(designs[name])}", 1, 1)
             page.keep("designs", {name: designs[name]})
         page.unsolved += [f"'{name}' is not solved: {one.why()}" for name, one in designs.items() if not one.ok]
-        first, *trust = sections(designs, {}, {})
+        first, *trust = reporting.sections(designs, {}, {})
         page.append(first)
-        page.tables.append(designs_table(designs, {}))
+        page.tables.append(reporting.designs_table(designs, {}))
         for name, design in designs.items():
             page.step(f"evidence on {name}")
             if design.ok:
                 evidence[name] = validate(design, self.samples, seed=self._seed, progress=page.progress)
                 page.keep("evidence", {name: evidence[name]})
-        page.recommend(proposal(designs, evidence, self._target))
-        page.append(*evidence_sections(evidence))
+        page.recommend(reporting.proposal(designs, evidence, self._target))
+        page.append(*reporting.evidence_sections(evidence))
         if evidence:
-            page.add(violations_table(evidence), printed=True)
-            page.tables.append(evidence_table(evidence))
-        page.tables.append(certificate_table(designs))
+            page.add(reporting.violations_table(evidence), printed=True)
+            page.tables.append(reporting.evidence_table(evidence))
+        page.tables.append(reporting.certificate_table(designs))
         for bound, values in self._sweeps.items():
             page.step(f"front over {bound}")
             with executor_of(self.workers) as executor:
                 front = pareto(self._last, bound, values, executor=executor, progress=page.progress, **self.solving)
-            self._show(page, designs, evidence, bound, front)
+            self._show(page, bound, front)
         if self._wishes:
             page.step("trade-off")
             front = trade_off(self._last, self._wishes, self._points, progress=page.progress, **self.solving)
-            self._show(page, designs, evidence, " against ".join(self._wishes), front)
+            self._show(page, " against ".join(self._wishes), front)
         page.append(*trust)
 
-    def _show(
-        self,
-        page: Draft,
-        designs: Mapping[str, Solution],
-        evidence: Mapping[str, Evidence],
-        name: str,
-        front: Front | TradeOff,
-    ) -> None:
+    def _show(self, page: Draft, name: str, front: Front | TradeOff) -> None:
         """Show a front, with evidence on the same systems at each point, so that a choice shows how often it fails."""
         kind, work = ("fronts", f"front over {name}") if isinstance(front, Front) else ("trade-offs", "trade-off")
         page.kept = {**page.kept, kind: {**page.kept.get(kind, {}), name: front}}
-        sampled = None
+        known, is_cut_short = [*page.kept.get("evidence", {}).values()], front.interrupted
         if not front.interrupted and any(one.ok for one in front.solutions):
             page.step(f"evidence along the {work}")
             with executor_of(self.workers) as executor:
                 everyone = {"seed": self._seed, "executor": executor, "progress": page.progress}
                 sampled = validate_all(front, self.samples, **everyone)
             page.kept = {**page.kept, "along": {**page.kept.get("along", {}), name: sampled.by_place}}
-        known = [*evidence.values(), *(() if sampled is None else sampled.by_place.values())]
-        page.append(trade_offs_section(designs, {name: front}, known))
-        if front.interrupted or (sampled is not None and sampled.interrupted):
+            known, is_cut_short = [*known, *sampled.by_place.values()], sampled.interrupted
+        page.append(reporting.trade_offs_section(page.kept["designs"], {name: front}, known))
+        if is_cut_short:
             page.add(f"{len(front.solutions)} points of the front over {name} are available.")
             raise KeyboardInterrupt
 
@@ -240,45 +215,30 @@ class SweptStudy(AbstractStudy):
         with executor_of(self.workers) as executor:
             how = {"executor": executor, "progress": page.progress, **self.solving}
             front = pareto(self.problems[self._name], self._bound, self._values, **how)
-        places = [point_name(front.bound, value) for value in front.values]
-        points = sorted(zip(front.values.tolist(), places, front.points, strict=True), key=lambda point: point[0])
-        solved = {place: one for _, place, one in points if isinstance(one, Solution) and one.ok}
-        ends = [*solved][:1] + [*solved][-1:]
-        page.recommend(self._verdict(front, solved, ends))
-        if front.points and not solved:
-            page.unsolved.append(_nothing_solved(front))
-        page.append(Section("Points", []))
-        page.add(replace(front_table({"": front}), caption=f"{self._name} over {self._bound}"), printed=True)
+        points = sorted(zip(front.values.tolist(), front.points, strict=True), key=lambda point: point[0])
+        solved = {point_name(front.bound, value): one for value, one in points if isinstance(one, Solution) and one.ok}
+        ends = {place: solved[place] for place in [*solved][:1] + [*solved][-1:]}
+        said = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
+        if solved:
+            objectives = words([f"{number(one.objective, 4)} at {place}" for place, one in ends.items()])
+            level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
+            page.recommend(Verdict(level, word, f"{said}; the objective is {objectives}."))
+        else:
+            why = f"{said}. The first: {front.points[0].why()}" if front.points else f"{said}."
+            page.recommend(Verdict("bad", "Nothing solved", why))
+            page.unsolved += [why] if front.points else []
+        page.append(Section("Points", reporting.front_blocks({self._name: front}) if front.points else []))
         if front.interrupted:
             page.add(f"{len(front.values)} of {len(self._values)} points are available.")
-        page.append(*sections({place: solved[place] for place in places if place in ends}, {}, {self._name: front}))
+        if front.points:
+            page.tables.append(replace(reporting.front_table({"": front}), caption=f"{self._name} over {self._bound}"))
+        page.append(*reporting.sections(ends, {}, {}))
         page.keep("fronts", {self._name: front})
 
-    def _verdict(self, front: Front, solved: Mapping[str, Solution], ends: Sequence[str]) -> Verdict:
-        """How many points are solved, and the objective at both ends of these."""
-        if front.interrupted and not solved:
-            said = f"No point over {self._bound} was solved before the sweep stopped."
-            return Verdict("caution", "Interrupted", said)
-        if not solved:
-            return Verdict("bad", "Nothing solved", _nothing_solved(front))
-        told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
-        objectives = words([f"{number(solved[end].objective, 4)} at {end}" for end in dict.fromkeys(ends)])
-        level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
-        return Verdict(level, word, f"{told}; the objective is {objectives}.")
 
-
-def _nothing_solved(front: Front) -> str:
-    return f"No point over {front.bound} is solved. The first: {front.points[0].why()}"
-
-
-@contextmanager
-def executor_of(processes: int | None) -> Iterator[Executor | None]:
+def executor_of(processes: int | None) -> AbstractContextManager[Executor | None]:
     """So many processes within a block (`al.workers`); none where the work is this one's."""
-    if processes is None:
-        yield None
-        return
-    with workers(processes) as executor:
-        yield executor
+    return nullcontext() if processes is None else workers(processes)
 
 
 def problems_of(study: AbstractStudy) -> dict[str, Problem]:

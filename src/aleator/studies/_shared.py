@@ -1,11 +1,12 @@
-"""The stages that several studies share: designs solved, sampled and swept, a margin, and a design in a second way."""
+"""The stages that several studies share: the system, designs solved and sampled, a margin, and a second way."""
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import aleator as al
-from aleator.reporting import Code, Drawing, calibration_figure, designs_table, given, mesh_drawing, number, percent
+from aleator import reporting
+from aleator.reporting import Code, Drawing, Schematic, given, number
 from aleator.studies._study import Draft
 
 if TYPE_CHECKING:
@@ -15,9 +16,12 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def picture(place: str) -> str:
-    """A drawing of a study as SVG, by its file: `suspension/car.svg`."""
-    return (resources.files("aleator.studies") / place).read_text(encoding="utf-8")
+def system(page: Draft, drawing: str, heading: str, caption: str, figure: str = "") -> Schematic:
+    """A drawing of the system by its file, such as `suspension/car.svg`, with the study's problems beside it."""
+    svg = (resources.files("aleator.studies") / drawing).read_text(encoding="utf-8")
+    problems = page.study.problems.items()
+    beside = [Code(f"As mathematics: {name}", str(problem)) for name, problem in problems]
+    return Schematic([svg], heading, caption, figure, beside)
 
 
 def gathered(page: Draft, group: str, verb: Callable[[Item], Result], items: Mapping[str, Item]) -> dict[str, Result]:
@@ -34,8 +38,11 @@ def sampled(
     page: Draft, designs: Mapping[str, al.Solution], samples: int, group: str = "evidence"
 ) -> dict[str, al.results.Evidence]:
     """Evidence on designs by their names, kept as a group."""
-    how: dict[str, Any] = {"seed": 1, "keep": 60, "progress": page.progress}
-    return gathered(page, group, lambda design: al.validate(design, samples, **how), designs)
+
+    def counted(design: al.Solution) -> al.results.Evidence:
+        return al.validate(design, samples, seed=1, keep=60, progress=page.progress)
+
+    return gathered(page, group, counted, designs)
 
 
 def add_second_way(page: Draft, name: str, problem: al.Problem, most_states: int = 20_000) -> None:
@@ -51,19 +58,17 @@ def add_second_way(page: Draft, name: str, problem: al.Problem, most_states: int
         "variables of one sparse program, for another solver. Both have the same grid and the same expansion. "
         "Differences of decisions are relative to the range allowed for each."
     )
-    page.add(Code(f"{name} by shooting and by direct collocation", str(both), opened=True))
-    page.add(designs_table({"Shooting": both.first, "Direct collocation": both.second}, {}))
-    page.add(Drawing([both.plot.differences()], "Relative differences", told), mesh_drawing(both.second.meshes, name))
+    page.add(
+        Code(f"{name} by shooting and by direct collocation", str(both), opened=True),
+        reporting.designs_table({"Shooting": both.first, "Direct collocation": both.second}, {}),
+        Drawing([both.plot.differences()], "Relative differences", told),
+        reporting.mesh_drawing(both.second.meshes, name),
+    )
 
 
 def requirements_active(solution: al.Solution) -> list[str]:
     """The active requirements of a design, without decisions at their bounds."""
     return [name for name in solution.active if name not in solution.at_bounds]
-
-
-def signed(change: float) -> str:
-    """A relative change with its sign: `+3.9 %`."""
-    return f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
 
 
 def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin: str = "") -> Drawing:
@@ -74,7 +79,7 @@ def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin
         f"of them break a limit. The chosen margin, {chosen}, is {found.sentence(who)}. Bars: 95 % intervals; on fresh "
         f"{who} at the confidence stated."
     )
-    return Drawing([calibration_figure(found, who=who)], heading, caption)
+    return Drawing([reporting.calibration_figure(found, who=who)], heading, caption)
 
 
 def stored(name: str, rows: Mapping[str, Sequence[float]], units: Mapping[str, str]) -> "xarray.Dataset":

@@ -9,25 +9,12 @@ from typing import Any, final, get_args
 
 from typing_extensions import override
 
+from aleator import reporting
 from aleator._core.border import Progress, a_name, one_of, silent
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
 from aleator.nlp import Status
-from aleator.reporting import (
-    PAGE,
-    Block,
-    Page,
-    Section,
-    Table,
-    Text,
-    Verdict,
-    by_place,
-    is_group,
-    savable,
-    save_study,
-    whole_page,
-    write_page,
-)
+from aleator.reporting import Block, Page, Section, Table, Text, Verdict
 
 _TERMS, _LEFT_OUT = ("Term", "Meaning"), "Left out"
 
@@ -63,8 +50,8 @@ class AbstractStudy(abc.ABC):
     def with_workers(self, count: int) -> "AbstractStudy":
         """The same study, whose solves are shared by `count` processes. Raises `ProblemError` if it shares none."""
         raise ProblemError(
-            f"--workers {count}: the study '{self.title}' solves in its own way, by this process: expected an "
-            "`al.Study` or a study file. `aleator sweep` takes --workers for a front of any study."
+            f"--workers {count}: the study '{self.title}' has nothing to share among processes: expected `sweeps` or "
+            "`wishes`, of an `al.Study` or a study file. A single solve takes all cores of the machine by itself."
         )
 
     def check_declaration(self) -> None:
@@ -152,11 +139,11 @@ class Draft:
 
         Raises `ProblemError` for what cannot be saved, and `KeyboardInterrupt` where Ctrl-C has cut a result short.
         """
-        kept, refused = savable("page.keep", {a_name("page.keep: the name", name): result})
+        kept, refused = reporting.savable("page.keep", {a_name("page.keep: the name", name): result})
         self.kept = _joined(self.kept, kept)
         if refused:
             raise refused[0]
-        if any(_is_cut_short(one) for one in by_place(kept).values()):
+        if any(_is_cut_short(one) for one in reporting.by_place(kept).values()):
             raise KeyboardInterrupt
 
     def recommend(self, verdict: Verdict) -> None:
@@ -198,11 +185,11 @@ class Draft:
         """Write all results as netCDF and JSON files, unless files of the same `contents` are there; returns their
         paths. An earlier page of other results is removed.
         """
-        return list(save_study(folder, self.kept, contents))
+        return list(reporting.save_study(folder, self.kept, contents))
 
     def write(self, folder: Path) -> Path:
         """Write the page; returns its path."""
-        return write_page(self.page(), folder / PAGE)
+        return reporting.write_page(self.page(), folder / reporting.PAGE)
 
     def headline(self) -> str:
         """The first screen in a sentence, with what is left out."""
@@ -216,7 +203,7 @@ class Draft:
         glossary = [Table("Glossary", _TERMS, self.study.glossary)] if self.study.glossary else []
         ended = Section("This run", [Text([self._end()])] if self.stopped or self.failures else [])
         about = self.study.title, self.study.subtitle, self._verdict()
-        return whole_page(*about, [ended, *self._sections], self.kept, glossary)
+        return reporting.whole_page(*about, [ended, *self._sections], self.kept, glossary)
 
     def _end_step(self) -> None:
         if self.present:
@@ -249,7 +236,7 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
     joined = dict(earlier)
     for name, one in later.items():
         before = joined.get(name)
-        joined[name] = _joined(before, one) if is_group(before) and is_group(one) else one
+        joined[name] = _joined(before, one) if reporting.is_group(before) and reporting.is_group(one) else one
     return joined
 
 

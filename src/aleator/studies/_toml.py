@@ -83,19 +83,6 @@ class DistributionTable(BaseModel):
     ]
 
 
-class GridTable(_Table):
-    """Another grid: `t_final`, `steps`, or both."""
-
-    t_final: Quantity | None = None
-    steps: Annotated[Whole, Field(ge=1, le=10_000_000)] | None = None
-
-
-class ExpansionTable(_Table):
-    """Another order of the expansion."""
-
-    order: Annotated[Whole, Field(ge=0, le=50)]
-
-
 class SolverTable(BaseModel):
     """A solver by its name, with its options."""
 
@@ -142,8 +129,8 @@ class StudyFile(_Table):
     sweeps: Annotated[
         dict[str, Annotated[list[Quantity], Field(min_length=1)]], Field(description="Values of bounds for fronts.")
     ] = {}
-    grid: GridTable | None = None
-    expansion: ExpansionTable | None = None
+    grid: dict[Literal["t_final", "steps"], Whole | Quantity] = {}
+    expansion: dict[Literal["order"], Annotated[Whole, Field(ge=0, le=50)]] = {}
     solver: SolverTable | None = None
 
 
@@ -190,8 +177,8 @@ def load_toml(path: Path, loaded: Callable[[str], Any]) -> Study:
     data = _checked(file)
     problem = file.about(["problem"], _one_problem, data.problem, loaded)
     for table, change in _CHANGES.items():
-        for key, value in _items(getattr(data, table)):
-            problem = file.about([table, key] if key else [table], change, problem, key, value)
+        for key, value in getattr(data, table).items():
+            problem = file.about([table, key], change, problem, key, value)
     sweeps = {name: file.about(["sweeps", name], _swept, problem, name, values) for name, values in data.sweeps.items()}
     solver = None if data.solver is None else file.about(["solver"], _solver_of, data.solver)
     options = {name: getattr(data, name) for name in ("subtitle", "samples", "seed", "target", "workers")}
@@ -205,13 +192,6 @@ def load_toml(path: Path, loaded: Callable[[str], Any]) -> Study:
             **options,
         ),
     )
-
-
-def _items(table: Any) -> Sequence[tuple[str, Any]]:
-    """The entries of a table of names, or a table of another kind as a whole."""
-    if isinstance(table, Mapping):
-        return list(table.items())
-    return [] if table is None else [("", table)]
 
 
 def _one_problem(name: str, loaded: Callable[[str], Any]) -> Problem:
@@ -324,17 +304,17 @@ def _swept(problem: Problem, name: str, values: Sequence[Any]) -> list[float]:
     return [plain(one, expression.unit(units_of(expression, problem))) for one in values]
 
 
-def _on_grid(problem: Problem, _: str, table: GridTable) -> Problem:
+def _on_grid(problem: Problem, name: str, value: Any) -> Problem:
     grid = problem.grid
     if not isinstance(grid, Grid):
         raise ProblemError("expected a model with one grid; received one without time, or in phases.")
-    t_final = grid.t_final if table.t_final is None else plain(table.t_final, "s")
-    changed = Grid(t_final, grid.steps if table.steps is None else table.steps)
-    return declared_anew(problem, replace(problem.simulation, grid=changed))
+    given = {"t_final": grid.t_final, "steps": grid.steps}
+    given[name] = plain(value, "s") if name == "t_final" else value
+    return declared_anew(problem, replace(problem.simulation, grid=Grid(**given)))
 
 
-def _expanded(problem: Problem, _: str, table: ExpansionTable) -> Problem:
-    return eqx.tree_at(lambda tree: tree.expansion, problem, replace(problem.expansion, order=table.order))
+def _expanded(problem: Problem, _: str, order: int) -> Problem:
+    return eqx.tree_at(lambda tree: tree.expansion, problem, replace(problem.expansion, order=order))
 
 
 def _solver_of(table: SolverTable) -> AbstractSolver:

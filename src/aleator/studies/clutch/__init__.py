@@ -5,14 +5,13 @@ two contacts decides whether the clutch holds: 6° to 8°. Lengths in mm, angles
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy
 from jaxtyping import Float
 
 import aleator as al
-from aleator._core.border import Progress, silent
 
 MEANS = {"a": 27.645, "c": 11.430, "e": 50.800}
 TOLERANCES = {"a": 0.05, "c": 0.01, "e": 0.0125}
@@ -29,7 +28,6 @@ SPECIFICATIONS = {"limits": LIMITS, "deviation": DEVIATION}
 
 COST = "Σ 1/T"
 TIGHTEST, WIDEST = 0.002, 0.2
-AT_ONCE = 1_000_000
 
 
 def clutch(tolerances: Mapping[str, Any] = TOLERANCES) -> al.Assembly:
@@ -69,37 +67,6 @@ def exact_variation() -> float:
     return 3 * float(np.sqrt(np.average((angle - np.average(angle, weights=weight)) ** 2, weights=weight)))
 
 
-class Tails(NamedTuple):
-    """The proportions of counted assemblies below and above the limits of a specification."""
-
-    low: al.results.Proportion
-    high: al.results.Proportion
-
-    @property
-    def either(self) -> al.results.Proportion:
-        """Both together."""
-        return al.results.Proportion(self.low.count + self.high.count, self.low.samples)
-
-
-def count_rejects(
-    tolerances: Mapping[str, float], samples: int, *, seed: int = 2, progress: Progress = silent
-) -> dict[str, Tails]:
-    """Assemble `samples` clutches of normal parts, standard deviation a third of the tolerance, by the closed form.
-
-    Returns the rejects by each specification.
-    """
-    generator = np.random.default_rng(seed)
-    beyond = np.zeros((len(SPECIFICATIONS), 2), dtype=int)
-    for done in range(0, samples, AT_ONCE):
-        progress("counting rejects", done, samples)
-        drawn = generator.standard_normal((len(MEANS), min(AT_ONCE, samples - done)))
-        parts = (MEANS[name] + tolerances[name] / 3 * row for name, row in zip(MEANS, drawn, strict=True))
-        angle = pressure_angle(*parts)
-        beyond += [(np.sum(angle < lower), np.sum(angle > upper)) for lower, upper in SPECIFICATIONS.values()]
-    shares = [[al.results.Proportion(int(side), samples) for side in sides] for sides in beyond]
-    return {name: Tails(*sides) for name, sides in zip(SPECIFICATIONS, shares, strict=True)}
-
-
 def worst_case(tolerances: Mapping[str, float]) -> tuple[float, float]:
     """Smallest and largest pressure angle with each dimension anywhere within its tolerance, degrees.
 
@@ -118,13 +85,13 @@ def broken(tolerances: Mapping[str, float]) -> list[float]:
     return [lower] * (least < lower - rounding) + [upper] * (largest > upper + rounding)
 
 
-def exact_rejects(tolerances: Mapping[str, float]) -> tuple[float, float]:
-    """The shares of assemblies below and above the limits in which the clutch works, of normal parts.
+def exact_rejects(tolerances: Mapping[str, float], limits: tuple[float, float] = LIMITS) -> tuple[float, float]:
+    """The shares of assemblies below and above the limits of a specification, of normal parts.
 
     The angle is below a limit where `a + c > cos(limit) (e - c)`: a sum of normal parts, itself normal.
     """
     tails = []
-    for limit, sign in zip(LIMITS, (1.0, -1.0), strict=True):
+    for limit, sign in zip(limits, (1.0, -1.0), strict=True):
         weights, room = _room(limit)
         deviation = np.sqrt(sum((weights[name] * tolerances[name] / 3) ** 2 for name in MEANS))
         tails.append(float(scipy.special.ndtr(-sign * room / deviation)))

@@ -1,63 +1,22 @@
-"""The clutch study: table 7.2 by every method, the given tolerances, and the cheapest ones, all counted."""
+"""The clutch study: table 7.2 by every method, the given tolerances, and the cheapest ones."""
 
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 import aleator as al
+from aleator import reporting
 from aleator._core.border import Progress
 from aleator.journalling import kept
-from aleator.reporting import (
-    NOTHING,
-    Code,
-    Drawing,
-    Schematic,
-    Table,
-    Trial,
-    Verdict,
-    bars_figure,
-    certificate_table,
-    count,
-    density_figure,
-    effort_figure,
-    front_figure,
-    given,
-    linked_front,
-    number,
-    percent,
-    recommendation,
-    share_text,
-    side_by_side,
-    words,
-)
-from aleator.studies._shared import picture, stored
+from aleator.reporting import Code, Drawing, Table, count, given, number, percent, words
+from aleator.studies import clutch
+from aleator.studies._shared import stored, system
 from aleator.studies._study import Draft
-from aleator.studies.clutch import (
-    COST,
-    DEVIATION,
-    LIMITS,
-    MEANS,
-    NAMES,
-    SPECIFICATIONS,
-    TOLERANCES,
-    Tails,
-    allocation_problem,
-    broken,
-    clutch,
-    cost,
-    count_rejects,
-    exact_rejects,
-    exact_variation,
-    published_expansion,
-    tolerances_of,
-    worst_case,
-    worst_case_tolerances,
-)
+from aleator.studies.clutch import COST, DEVIATION, LIMITS, NAMES, SPECIFICATIONS, TOLERANCES, exact_rejects, worst_case
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -74,13 +33,14 @@ PUBLISHED = {
 SPECIFIED = {"limits": "Function: 6° to 8°", "deviation": "Nominal ± 0.6°"}
 GIVEN, CHEAPEST, SAFE = "given", "cheapest", "worst case within limits"
 METHOD_UNITS = {"three_sigma": "degree", "standard_error": "degree", "points": "1", "seconds": "s"}
-SIZE_UNITS = {**dict.fromkeys(TOLERANCES, "mm"), "least_angle": "degree", "largest_angle": "degree"}
+SIZE_UNITS = {**dict.fromkeys(TOLERANCES, "mm"), **dict.fromkeys(("least_angle", "largest_angle"), "degree")}
+SIZE_UNITS |= dict.fromkeys(("below_limits", "above_limits", "below_deviation", "above_deviation"), "1")
 ANALYSIS_UNITS = {
     **dict.fromkeys(("nominal", "mean", "std", "lower", "upper", "rss", "linear_std"), "degree"),
     **dict.fromkeys(("skewness", "kurtosis", "cp", "cpk"), "1"),
     **dict.fromkeys(("rejects_low", "rejects_high"), "ppm"),
 }
-"""What is stored of each method, each set of tolerances with its worst case, and each analysis, with units."""
+"""What is stored with units of each method, each set of tolerances with its worst case and rejects, each analysis."""
 
 TITLE = "One-way clutch: tolerance analysis and allocation"
 SUBTITLE = "Pressure angle of a roller clutch from its vector loop; dissertation, section 7.2"
@@ -93,109 +53,94 @@ GLOSSARY = (
     ("ppm", "Rejects per million assemblies."),
     ("Worst case", "All dimensions within their tolerances at once, in the worst combination."),
     ("Σ 1/T", "Cost of manufacture: halving a tolerance doubles its cost."),
-    ("Shadow price", "The decrease in cost per unit by which the limit on rejects is relaxed."),
 )
 LEFT_OUT = ""
-LOOP = f"""The vectors (length ∠ direction) close, (121):
-  a∠90° + b∠0° + c∠90°
-    + c∠(90° - χ) - e∠(90° - χ) = 0
-  χ + γ = 90°
-
-so that
-  cos χ = (a + c) / (e - c)
-  b = (e - c) sin χ
-
-The clutch works between χ = {given(LIMITS[0])}° and {given(LIMITS[1])}°.
-
-Normal parts, σ a third of the tolerance:
-"""
 
 
 def problems() -> dict[str, al.Problem]:
     """The allocation of tolerances."""
-    return {"allocation": allocation_problem()}
+    return {"allocation": clutch.allocation_problem()}
 
 
 def chapter(page: Draft, quick: bool) -> None:
-    """Section 7.2, with a tolerance analysis under two specifications and counts in closed form."""
+    """Section 7.2, with a tolerance analysis under two specifications."""
     page.section("The clutch")
-    sizes = "\n".join(f"  {name} = {given(mean)} ± {given(TOLERANCES[name])} mm" for name, mean in MEANS.items())
-    beside = [Code("As mathematics", LOOP + sizes, opened=True), Code("The assembly", str(clutch()))]
-    told = "A quarter of the clutch, to scale. The angle follows from hub a, roller c and ring e."
-    page.add(Schematic([picture("clutch/clutch.svg")], "The vector loop", told, "7.1", beside))
+    told = (
+        "A quarter of the clutch, to scale. The vectors (length ∠ direction) close, (121): a∠90° + b∠0° + c∠90° + "
+        "c∠(90° − χ) − e∠(90° − χ) = 0 and χ + γ = 90°, so that cos χ = (a + c)/(e − c) and b = (e − c) sin χ: the "
+        "angle follows from hub a, roller c and ring e. Parts are normal, with σ a third of the tolerance."
+    )
+    page.add(system(page, "clutch/clutch.svg", "The vector loop", told, "7.1"))
 
     page.section("Table 7.2")
-    methods, exact = compared_methods(page.progress, quick), exact_variation()
+    methods, exact = compared_methods(page.progress, quick), clutch.exact_variation()
     page.keep("methods", stored("row", methods, METHOD_UNITS))
     page.add(methods_table(methods, exact), printed=True)
-    efforts = families(methods, exact)
-    told = "Each order of the expansion gains about one digit; sampling gains one digit for a hundred times the "
-    told += "effort. The error of a sampled value is its standard error."
-    figures = [effort_figure(efforts, error="Error of 3σ", unit="°", by=by) for by in ("calls", "seconds")]
-    page.add(Drawing(figures, "Error against effort", told))
 
     page.section("The given tolerances")
     analyses: dict[str, al.results.ToleranceAnalysis] = {}
     for name, (lower, upper) in SPECIFICATIONS.items():
-        wanted = {"lower": lower, "upper": upper, "expansion": published_expansion(3)}
-        analyses[name] = kept(f"tolerances, {name}", al.tolerance_analysis, clutch(), "chi", **wanted)
+        wanted = {"lower": lower, "upper": upper, "expansion": clutch.published_expansion(3)}
+        analyses[name] = kept(f"tolerances, {name}", al.tolerance_analysis, clutch.clutch(), "chi", **wanted)
+        page.add(Code(f"Tolerance analysis. {SPECIFIED[name]}", str(analyses[name]), opened=True))
     numbers = {name: [getattr(one, part) for part in ANALYSIS_UNITS] for name, one in analyses.items()}
     page.keep("analyses", stored("specification", numbers, ANALYSIS_UNITS))
     shares = {name: (one.linear, one.total) for name, one in analyses["limits"].contributions.items()}
     page.keep("contributions", stored("dimension", shares, {"linear_share": "percent", "total_share": "percent"}))
-    counted = 2_000_000 if quick else 20_000_000
-    counts = {GIVEN: _counted(page, GIVEN, TOLERANCES, counted)}
-    page.add(*(Code(f"Tolerance analysis. {SPECIFIED[name]}", str(one), opened=True) for name, one in analyses.items()))
-    told = "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one. Shaded: "
-    told += "counted rejects, in parts per million. Those beyond the function's limits are so few that only a "
-    told += "logarithmic axis shows them."
-    densities = [density(name, one, counts[GIVEN][name]) for name, one in analyses.items()]
+    told = (
+        "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one. Shaded: "
+        "rejects, in parts per million. Those beyond the function's limits are so few that only a logarithmic "
+        "axis shows them."
+    )
+    densities = [density(name, one) for name, one in analyses.items()]
     page.add(Drawing(densities, "Distribution of the angle, limits and rejects", told))
 
     page.section("Allocation")
     allowed = analyses["deviation"].rejects / 1e6
-    design = al.solve(allocation_problem(allowed))
+    design = al.solve(clutch.allocation_problem(allowed))
     page.keep("allocation", design)
     evidence = al.validate(design, 100_000 if quick else 1_000_000, seed=1, progress=page.progress)
     page.keep("evidence", evidence)
-    tolerances = {GIVEN: TOLERANCES, CHEAPEST: tolerances_of(design), SAFE: worst_case_tolerances()}
-    counts |= {name: _counted(page, name, tolerances[name], counted) for name in (CHEAPEST, SAFE)}
-    sizes = {name: (*widths.values(), *worst_case(widths)) for name, widths in tolerances.items()}
+    cheapest = clutch.tolerances_of(design)
+    tolerances = {GIVEN: TOLERANCES, CHEAPEST: cheapest, SAFE: clutch.worst_case_tolerances()}
+    sizes = {
+        name: (*widths.values(), *worst_case(widths), *exact_rejects(widths), *exact_rejects(widths, DEVIATION))
+        for name, widths in tolerances.items()
+    }
     page.keep("tolerances", stored("tolerances", sizes, SIZE_UNITS))
-    one, outside = analyses["limits"], counts[GIVEN]["limits"].either
+    wider, tighter = (
+        [NAMES[part] for part in cheapest if (cheapest[part] > TOLERANCES[part]) is is_wider]
+        for is_wider in (True, False)
+    )
+    page.recommend(
+        reporting.recommendation(
+            design,
+            evidence,
+            labels={f"{part}.tolerance": f"{name} (mm) ±" for part, name in NAMES.items()},
+            who="assemblies",
+            objective=f"cost {COST}, in 1/mm:",
+            sentences=[
+                f"Tighten the {words(tighter)}, widen the {words(wider)}: as few rejects as before for "
+                f"{percent(1 - clutch.cost(cheapest) / clutch.cost(TOLERANCES))} less.",
+                "An expansion of order 3 on 60 assemblies is about "
+                f"{count(int(float(f'{times_cheaper(methods, exact):.1e}')))} times cheaper than plain Monte Carlo of "
+                "the same error (its measured speed and standard error, scaled up).",
+            ],
+        )
+    )
     expected = next(limit.worst for limit in design.constraints if limit.name == "rejects")
-    times = int(float(f"{times_cheaper(methods, exact):.1e}"))
-    sentences = [
-        f"The given tolerances: the pressure angle is {number(one.mean, 5)}° ± {number(3 * one.std, 4)}° (3σ), within "
-        f"6° to 8° with Cpk {number(one.cpk, 3)}; within nominal ± 0.6° only for {percent(1 - allowed)} of the "
-        f"assemblies. The worst case of parts within them is {worst_text(TOLERANCES)}; of {count(outside.samples)} "
-        f"assemblies counted, {per_million(outside)} in a million lie outside 6° to 8°.",
-        f"Of as many assemblies of the cheapest tolerances {share_text(counts[CHEAPEST]['deviation'].either)} lie "
-        f"outside nominal ± 0.6°, where the expansion predicts {percent(expected)}.",
-        f"An expansion of order 3 on 60 assemblies is about {count(times)} "
-        "times cheaper than plain Monte Carlo of the same error (its measured speed and standard error, scaled up).",
-    ]
-    page.recommend(recommended(design, evidence, tolerances, sentences))
-    page.add(counts_table(tolerances, counts, {GIVEN: allowed, CHEAPEST: expected}), printed=True)
+    page.add(tolerances_table(tolerances, {GIVEN: allowed, CHEAPEST: expected}), printed=True)
     bars = {name: {NAMES[part]: width for part, width in widths.items()} for name, widths in tolerances.items()}
-    page.add(Drawing([bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after"))
+    page.add(Drawing([reporting.bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after"))
     allowances = np.geomspace(0.05, 1e-6, 4 if quick else 11)
-    front = al.pareto(allocation_problem(), "rejects", allowances, progress=page.progress)
-    page.keep("front", front)
-    figure = front_figure({CHEAPEST: front}, x="Rejects allowed", y=f"Cost {COST}", y_unit="1/mm")
+    fronts = {CHEAPEST: al.pareto(clutch.allocation_problem(), "rejects", allowances, progress=page.progress)}
+    page.keep("front", fronts[CHEAPEST])
+    figure = reporting.front_figure(fronts, x="Rejects allowed", y=f"Cost {COST}", y_unit="1/mm")
     figure.update_xaxes(type="log", exponentformat="power", title="Rejects allowed (share)")
-    page.add(linked_front({CHEAPEST: front}, [figure], "The cost of fewer rejects", "Each point is an optimum."))
-    page.add(Code("The problem as mathematics", str(design.problem)))
+    page.add(reporting.linked_front(fronts, [figure], "The cost of fewer rejects", "Each point is an optimum."))
 
     page.section("Certificate", folded=True)
-    page.add(certificate_table({CHEAPEST: design}))
-
-
-def _counted(page: Draft, name: str, tolerances: Mapping[str, float], samples: int) -> dict[str, Tails]:
-    counted = kept(f"rejects, {name}", count_rejects, tolerances, samples, progress=page.progress)
-    rows = {one: (tails.low.count, tails.high.count, samples) for one, tails in counted.items()}
-    page.keep("counts", {name: stored("specification", rows, dict.fromkeys(("low", "high", "assemblies"), "1"))})
-    return counted
+    page.add(reporting.certificate_table({CHEAPEST: design}))
 
 
 # --- The methods of table 7.2 ----------------------------------------------------------------------------------------
@@ -226,18 +171,18 @@ def compared_methods(progress: Progress, quick: bool) -> dict[str, Method]:
     draws = {"quasi-Monte Carlo": al.references.quasi_monte_carlo, "Monte Carlo": al.references.monte_carlo}
     for name, draw in draws.items():
         progress(name, 0, 1)
-        drawn = draw(_angle, clutch(), samples[name])
+        drawn = draw(_angle, clutch.clutch(), samples[name])
         methods[name] = Method(3 * float(drawn.std.value), 3 * drawn.std.standard_error, drawn.samples, drawn.seconds)
     return methods
 
 
 def local_method(name: str, repeats: int) -> Method:
     """The row of a method without samples: the shortest time of `repeats` runs after a first one that compiles."""
-    model, (kind, _, order) = clutch(), name.partition(", order ")
+    model, (kind, _, order) = clutch.clutch(), name.partition(", order ")
 
     def work() -> Any:
         if order:
-            return al.expand(_angle, model, published_expansion(int(order)))
+            return al.expand(_angle, model, clutch.published_expansion(int(order)))
         return {"DLM": al.references.linearise, "second order": al.references.second_order}[kind](_angle, model)
 
     result, times = work(), []
@@ -256,40 +201,22 @@ def methods_table(methods: Mapping[str, Method], exact: float) -> Table:
     """Table 7.2 and its extension, with the published values."""
     rows = []
     for name, one in methods.items():
-        printed, seconds = PUBLISHED.get(name, (None, "–"))
+        printed, seconds = PUBLISHED.get(name, (math.nan, "–"))
         spread = "" if math.isnan(one.standard_error) else f" ± {number(one.standard_error, 2)}"
-        rows.append(
-            [
-                name,
-                "–" if printed is None else f"{printed:.5f}",
-                f"{number(one.three_sigma, 7)}{spread}",
-                number(abs(one.three_sigma - exact), 2),
-                count(one.points),
-                number(1000 * one.seconds, 2, "ms") if one.seconds < 1 else number(one.seconds, 2, "s"),
-                seconds,
-            ]
-        )
+        ours = f"{number(one.three_sigma, 7)}{spread}", number(abs(one.three_sigma - exact), 2), count(one.points)
+        took = number(1000 * one.seconds, 2, "ms") if one.seconds < 1 else number(one.seconds, 2, "s")
+        rows.append([name, number(printed, 5), *ours, took, seconds])
     rows.append(["exact", "–", number(exact, 8), "0", "–", "–", "–"])
     note = (
         "Exact: Gauss quadrature of the closed form, independent of the other rows. Times are of this run in a warm "
         "process, most of an expansion's being spent on tracing the equations; the published times are of Mathematica "
         "on a laptop of 2012. A sampled value may be off by a few standard errors. Even with 2.5 million samples the "
         "standard error exceeds the difference between gPC and the exact value, so Monte Carlo cannot be the reference "
-        "here. Order 2 depends on the point set in its fourth digit."
+        "here. Each order of the expansion gains about one digit; sampling gains one for a hundred times the effort. "
+        "Order 2 depends on the point set in its fourth digit."
     )
     header = ["", "Published (°)", "3σ of χ (°)", "Error (°)", "Assemblies solved", "Time", "Published time (s)"]
     return Table("Table 7.2 and more: three standard deviations of the pressure angle", header, rows, note)
-
-
-def families(methods: Mapping[str, Method], exact: float) -> dict[str, list[Trial]]:
-    """The methods by family, with plain Monte Carlo scaled to fewer samples by the square-root law."""
-    trials: dict[str, list[Trial]] = {"gPC": [], "DLM and second order": [], "quasi-Monte Carlo": [], "Monte Carlo": []}
-    for name, one in methods.items():
-        family = "gPC" if name.startswith("gPC") else name if name in trials else "DLM and second order"
-        error = abs(one.three_sigma - exact) if math.isnan(one.standard_error) else one.standard_error
-        for part in (10_000, 100, 1) if name == "Monte Carlo" else (1,):
-            trials[family].append(Trial(name, one.points // part, one.seconds / part, error * math.sqrt(part)))
-    return trials
 
 
 def times_cheaper(methods: Mapping[str, Method], exact: float) -> float:
@@ -298,100 +225,52 @@ def times_cheaper(methods: Mapping[str, Method], exact: float) -> float:
     return sampled.seconds / expanded.seconds * (sampled.standard_error / abs(expanded.three_sigma - exact)) ** 2
 
 
-# --- Rejects, counted ------------------------------------------------------------------------------------------------
+# --- Tolerances and rejects ------------------------------------------------------------------------------------------
 
 
-def worst_text(tolerances: Mapping[str, float]) -> str:
-    """The exact worst case, and which limits of the function it breaks: `5.957° to 7.938°, breaks 6°`."""
-    ends = [f"{number(end, 4)}°" for end in worst_case(tolerances)]
-    limits = [f"{given(limit)}°" for limit in broken(tolerances)]
-    return f"{' to '.join(ends)}, {f'breaks {words(limits)}' if limits else 'within the limits'}"
-
-
-def per_million(share: al.results.Proportion) -> str:
-    """A count as parts per million, with its confidence interval: `9.1 [8.4 to 9.8]`."""
-    ends = (number(1e6 * end, 3) for end in (share.lower, share.upper))
-    return f"{number(1e6 * share.estimate, 3)} [{' to '.join(ends)}]"
-
-
-def density(name: str, one: al.results.ToleranceAnalysis, counted: Tails) -> "Figure":
+def density(name: str, one: al.results.ToleranceAnalysis) -> "Figure":
     """The distribution against the limits of one specification, with the rejects beyond them."""
     function = name == "limits"
     reach = (6.5 if function else 5.0) * one.std
     angles = np.linspace(one.mean - reach, one.mean + reach, 401)
     normal = np.exp(-0.5 * ((angles - one.mean) / one.std) ** 2) / (one.std * np.sqrt(2 * np.pi))
-    return density_figure(
+    return reporting.density_figure(
         angles,
         {"expansion": np.asarray(one.expanded.pdf(jnp.asarray(angles))), "normal of the same μ and σ": normal},
         x="Pressure angle χ",
         unit="°",
         limits=(one.lower, one.upper),
-        tails=[f"{number(1e6 * side.estimate, 3)}\nppm" for side in counted],
+        tails=[f"{number(1e6 * share, 3)}\nppm" for share in exact_rejects(TOLERANCES, SPECIFICATIONS[name])],
         logarithmic=function,
         title=SPECIFIED[name],
     )
 
 
-# --- Allocation ------------------------------------------------------------------------------------------------------
-
-
-def counts_table(
-    tolerances: Mapping[str, Mapping[str, float]],
-    counts: Mapping[str, Mapping[str, Tails]],
-    expanded: Mapping[str, float],
-) -> Table:
-    """The given, the cheapest and the safe tolerances, each with a count and the exact worst case."""
+def tolerances_table(tolerances: Mapping[str, Mapping[str, float]], expanded: Mapping[str, float]) -> Table:
+    """The given, the cheapest and the safe tolerances, each with its exact rejects and worst case."""
     note = (
         f"Specification of the allocation: {number(DEVIATION[0], 5)}° to {number(DEVIATION[1], 5)}°, with no more "
-        f"rejects than the given tolerances have. {count(counts[GIVEN]['limits'].low.samples)} assemblies counted for "
-        "each column, in closed form; 95 % confidence intervals in brackets. The worst case is over all dimensions "
-        "within their tolerances. Dimensions are normally distributed, and one part in 370 lies outside its "
-        "tolerance: a few assemblies may exceed the limits even where the worst case does not."
+        "rejects than the given tolerances have. Rejects and worst case are exact, by the closed form. The worst case "
+        "is over all dimensions within their tolerances. Dimensions are normally distributed, and one part in 370 lies "
+        "outside its tolerance: a few assemblies may exceed the limits even where the worst case does not."
     )
     columns = {}
     for name, widths in tolerances.items():
-        function, outside = counts[name]["limits"], counts[name]["deviation"].either
+        below, above = exact_rejects(widths)
         columns[name.capitalize()] = {
             **{f"{NAMES[part]}, ± (mm)": number(widths[part], 4) for part in TOLERANCES},
-            f"Cost {COST} (1/mm)": number(cost(widths), 4),
+            f"Cost {COST} (1/mm)": number(clutch.cost(widths), 4),
             "Worst case": worst_text(widths),
-            f"Below {given(LIMITS[0])}°, counted (ppm)": per_million(function.low),
-            f"Above {given(LIMITS[1])}°, counted (ppm)": per_million(function.high),
-            "Both, counted (ppm)": per_million(function.either),
-            "Both, exact (ppm)": number(1e6 * sum(exact_rejects(widths)), 3),
-            "Outside nominal ± 0.6°, counted": share_text(outside),
-            "Outside nominal ± 0.6°, by the expansion": percent(expanded[name]) if name in expanded else NOTHING,
+            f"Below {given(LIMITS[0])}° (ppm)": number(1e6 * below, 3),
+            f"Above {given(LIMITS[1])}° (ppm)": number(1e6 * above, 3),
+            "Outside nominal ± 0.6°": percent(sum(exact_rejects(widths, DEVIATION))),
+            "Outside nominal ± 0.6°, by the expansion": percent(expanded[name]) if name in expanded else "–",
         }
-    return side_by_side("Three sets of tolerances, counted", columns, note)
+    return reporting.side_by_side("Three sets of tolerances", columns, note)
 
 
-def recommended(
-    design: al.Solution,
-    evidence: al.results.Evidence,
-    tolerances: Mapping[str, Mapping[str, float]],
-    sentences: list[str],
-) -> Verdict:
-    """The cheapest tolerances; what is tightened and what widened, and the choice where the worst case counts."""
-    given_cost, chosen, safe = cost(TOLERANCES), tolerances[CHEAPEST], cost(tolerances[SAFE])
-    if broken(chosen):
-        change = f"{percent(abs(1 - safe / given_cost))} {'less' if safe < given_cost else 'more'} than the given ones"
-        sentences = [
-            f"If even the worst case must stay within {given(LIMITS[0])}° to {given(LIMITS[1])}°, build the worst-case "
-            f"tolerances, for {change}.",
-            *sentences,
-        ]
-    verdict = recommendation(
-        design,
-        evidence,
-        labels={f"{part}.tolerance": f"{name} (mm) ±" for part, name in NAMES.items()},
-        who="assemblies",
-        objective=f"cost {COST}, in 1/mm:",
-        sentences=sentences,
-    )
-    if verdict.level != "good":
-        return verdict
-    wider = [NAMES[part] for part in chosen if chosen[part] > TOLERANCES[part]]
-    tighter = [NAMES[part] for part in chosen if chosen[part] < TOLERANCES[part]]
-    saved = percent(1 - cost(chosen) / given_cost)
-    said = f"Tighten the {words(tighter)}, widen the {words(wider)}: as few rejects as before for {saved} less."
-    return replace(verdict, headline=said)
+def worst_text(tolerances: Mapping[str, float]) -> str:
+    """The exact worst case, and which limits of the function it breaks: `5.957° to 7.938°, breaks 6°`."""
+    ends = [f"{number(end, 4)}°" for end in worst_case(tolerances)]
+    limits = [f"{given(limit)}°" for limit in clutch.broken(tolerances)]
+    return f"{' to '.join(ends)}, {f'breaks {words(limits)}' if limits else 'within the limits'}"

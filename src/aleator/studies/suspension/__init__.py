@@ -55,27 +55,27 @@ def road() -> al.Tabulated:
         return al.Tabulated.from_csv(path, time="time_s", value="height_m")
 
 
-def nominal() -> QuarterCar:
-    """The car of table 6.1: five uncertain numbers, of which the means of spring and damper are to be chosen."""
+def nominal(k_s: Any = 3750.0, b_s: Any = 250.0, eta: Any = 0.17375) -> QuarterCar:
+    """The car of table 6.1: five uncertain numbers, of which the means of spring and damper are to be chosen.
+
+    The half-widths of spring, damper and damping ratio may be decisions.
+    """
     return QuarterCar(
         m_s=al.Uniform(376.0, half_width=47.0),
         m_u=94.0,
-        k_s=al.Uniform(al.Decision(30e3, 23_339.0, 300e3), half_width=3750.0),
-        b_s=al.Uniform(al.Decision(2000.0, 1.0, 50e3), half_width=250.0),
-        eta=al.Uniform(1.39, half_width=0.17375),
+        k_s=al.Uniform(al.Decision(30e3, 23_339.0, 300e3), half_width=k_s),
+        b_s=al.Uniform(al.Decision(2000.0, 1.0, 50e3), half_width=b_s),
+        eta=al.Uniform(1.39, half_width=eta),
         k_u=al.Uniform(200e3, half_width=25e3),
     )
 
 
 def apportioned() -> QuarterCar:
     """The same car with the spreads of spring, damper and damping ratio to be chosen as well (section 7.4.1)."""
-    return QuarterCar(
-        m_s=al.Uniform(376.0, half_width=47.0),
-        m_u=94.0,
-        k_s=al.Uniform(al.Decision(30e3, 23_339.0, 300e3), half_width=al.Decision(3750.0, 187.5, 15e3)),
-        b_s=al.Uniform(al.Decision(2000.0, 1.0, 50e3), half_width=al.Decision(250.0, 12.5, 1000.0)),
-        eta=al.Uniform(1.39, half_width=al.Decision(0.17375, 0.0086875, 0.695)),
-        k_u=al.Uniform(200e3, half_width=25e3),
+    return nominal(
+        k_s=al.Decision(3750.0, 187.5, 15e3),
+        b_s=al.Decision(250.0, 12.5, 1000.0),
+        eta=al.Decision(0.17375, 0.0086875, 0.695),
     )
 
 
