@@ -173,6 +173,19 @@ def test_a_density_around_zero_has_tails():
     assert float(expanded.quantile(0.9)) == pytest.approx(1 - np.sqrt(0.2), rel=1e-6)
 
 
+def test_beside_a_gap_in_a_density_probabilities_and_quantiles_are_exact():
+    """An interpolation across the gap must not swing about it."""
+
+    def blocks(x):
+        return np.where(x < 1, 0.9, np.where(x < 9, 0.0, 0.1))
+
+    expanded = al.expand(lambda at: at["x"], {"x": al.Density(blocks, 0.0, 10.0)}, al.Expansion(1))
+    for place, above in ((0.9, 0.19), (9.1, 0.09), (9.2, 0.08), (9.5, 0.05), (9.9, 0.01)):
+        assert expanded.probability(above=place) == pytest.approx(above, rel=2e-6)
+    for level, place in ((0.8, 0.8 / 0.9), (0.92, 9.2), (0.95, 9.5)):
+        assert expanded.quantile(level) == pytest.approx(place, rel=1e-6)
+
+
 def test_in_the_gap_of_a_density_errors_cover_what_its_table_misses():
     part = 0.01
     modes = al.Density(lambda x: (1 - part) * stats.norm.pdf(x) + part * stats.norm.pdf(x, 8, 0.05), -9.0, 9.0)

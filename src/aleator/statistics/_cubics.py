@@ -9,9 +9,17 @@ import scipy
 from jaxtyping import Bool, Float
 
 from aleator._core.arrays import in_library, quietly
+from aleator.uncertainty import AbstractGerm
 
 END = 7.0
 """How far lines count, in standard deviations. Beyond it lies 3e-12."""
+
+# Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
+LAST, TABLED = 8.2, 1024
+# A table that is off by this part of a germ variable's spread does not tell where an output crosses a threshold.
+_OFF = 1e-3
+# In so many cells on either side what a spline swings by, a quarter in each of what it was in the last, is rounding.
+_SWINGING = 24
 
 # Gauss's rule from 0 to 1.
 NODES, WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
@@ -138,3 +146,17 @@ def by_values(by_cubics: Float[np.ndarray, "4 lines cells"]) -> Float[np.ndarray
     for shift, factor in ((3, 8), (1, -8), (4, -1), (0, 1)):
         values[:, shift : shift + cells + 1] += factor / 12 * slopes
     return values
+
+
+def table_of(germ: AbstractGerm) -> tuple[Float[np.ndarray, "cells 4"], Float[np.ndarray, " cells"]]:
+    """A germ variable by a standard normal one of the same level: cubics by powers of the place in a cell, and cells in
+    the middle of which these are off. Around those a spline would swing: cubics there rise throughout.
+    """
+    normal, nodes = np.linspace(-LAST, LAST, 2 * TABLED + 1), np.arange(TABLED + 1.0)
+    values = germ.quantile(scipy.special.ndtr(normal))
+    kinds = scipy.interpolate.CubicSpline, scipy.interpolate.PchipInterpolator
+    spline, rising = (kind(nodes, values[::2]) for kind in kinds)
+    limit = _OFF * germ.recurrence(2)[1][1]
+    swings, is_steep = (np.abs(one(nodes[:-1] + 0.5) - values[1::2]) > limit for one in (spline, rising))
+    around = np.convolve(swings, np.ones(2 * _SWINGING + 1), "same") > 0
+    return np.where(around[:, None], rising.c[::-1].T, spline.c[::-1].T), (is_steep & around).astype(float)

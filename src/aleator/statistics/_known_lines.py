@@ -5,8 +5,8 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from aleator.statistics._cubics import horner
-from aleator.statistics._lines import APART, DESCENTS, LAST, MINIMA, ON_A_LATTICE, SEARCHED, TABLED, Lines, unit
+from aleator.statistics._cubics import LAST, TABLED, horner
+from aleator.statistics._lines import APART, DESCENTS, MINIMA, ON_A_LATTICE, SEARCHED, Lines, unit
 
 # Points are evaluated for so many at once, for the cache.
 _TOGETHER = 2**11

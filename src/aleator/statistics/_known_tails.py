@@ -15,6 +15,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import quietly
 from aleator.statistics._cubics import (
+    LAST,
+    TABLED,
     beyond,
     by_values,
     cubics_through,
@@ -28,9 +30,7 @@ from aleator.statistics._cubics import (
 from aleator.statistics._known_lines import axis_of, blocks, is_whole_lattice, minima_of, terms_at, values_at
 from aleator.statistics._lines import (
     CENTRE,
-    LAST,
     STILL,
-    TABLED,
     Lines,
     LinesInElements,
     placed,

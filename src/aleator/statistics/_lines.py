@@ -27,7 +27,7 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
-from aleator.statistics._cubics import END, cubics_through, horner
+from aleator.statistics._cubics import END, LAST, TABLED, cubics_through, horner, table_of
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
 # Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
@@ -56,11 +56,6 @@ SINGLE = 4
 # Points for the entries of paths, a power of two, and their width: its most, which makes no more of an error at a level
 # of 0.9 than the points do, and what it is in proportion to, so that points of one variable are hardly spread out.
 _POINTS, _WIDEST, _WIDTH = 512, 0.85, 1.6
-
-# Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
-LAST, TABLED = 8.2, 1024
-# A table that is off by this part of a germ variable's spread does not tell where an output crosses a threshold.
-_OFF = 1e-3
 
 # So many points are evaluated at once, for the cache.
 _TOGETHER = 2**11
@@ -296,7 +291,7 @@ def _lines(basis: AbstractBasis) -> Lines:
     indices = basis.indices[:, active] if active else np.zeros((basis.terms, 1), dtype=int)
     orders = int(indices.max(initial=0)) + 1
     starts, recurrences = _starts(len(germs)), [germ.recurrence(orders) for germ in germs]
-    tables, steep = zip(*map(_table, germs), strict=True)
+    tables, steep = zip(*map(table_of, germs), strict=True)
     return Lines(
         table=jax_array(np.stack(tables)),
         is_steep=jax_array(np.stack(steep)),
@@ -330,17 +325,6 @@ def _at(
     levels = np.full((normal.shape[1], basis.variables), 0.5)
     levels[:, active] = scipy.special.ndtr(normal).T[:, : len(active)]
     return basis.matrix(basis.map_to_germ(levels)).T
-
-
-def _table(germ: AbstractGerm) -> tuple[Float[np.ndarray, "cells 4"], Float[np.ndarray, " cells"]]:
-    """A germ variable by a standard normal one of the same level: cubics by powers of the place in a cell, and cells in
-    the middle of which these are off.
-    """
-    normal = np.linspace(-LAST, LAST, 2 * TABLED + 1)
-    values = germ.quantile(scipy.special.ndtr(normal))
-    spline = scipy.interpolate.CubicSpline(np.arange(TABLED + 1.0), values[::2])
-    off = np.abs(spline(np.arange(TABLED) + 0.5) - values[1::2])
-    return spline.c[::-1].T, (off > _OFF * germ.recurrence(2)[1][1]).astype(float)
 
 
 def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "factors terms"]:
