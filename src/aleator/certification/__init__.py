@@ -1,6 +1,7 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
 from aleator.certification._between import Margins as Margins
+from aleator.certification._between import Shift as Shift
 from aleator.certification._between import Shifts as Shifts
 from aleator.certification._between import excess_between as excess_between
 from aleator.certification._between import limits_beside as limits_beside
@@ -9,21 +10,20 @@ from aleator.certification._between import narrows as narrows
 from aleator.certification._between import tightened as tightened
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
-from aleator.certification._fresh import check_factor as check_factor
-from aleator.certification._fresh import is_checked as is_checked
-from aleator.certification._fresh import pieces as pieces
 from aleator.certification._grids import grid_error as grid_error
 from aleator.certification._grids import magnitudes_at as magnitudes_at
 from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
 from aleator.certification._limits import OWN_ERROR as OWN_ERROR
-from aleator.certification._paths import Shift as Shift
 from aleator.certification._solution import Held as Held
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts
 from aleator.certification._solution import solution_of as solution_of
 from aleator.certification._solution import with_opinion as with_opinion
+from aleator.certification._systems import check_factor as check_factor
+from aleator.certification._systems import is_checked as is_checked
+from aleator.certification._systems import pieces as pieces
 from aleator.certification._systems import prepare_check as prepare_check
 from aleator.certification._worst_case import Oracle as Oracle
 from aleator.certification._worst_case import broken_at as broken_at

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array, quietly
-from aleator.certification._fresh import FreshSystems, systems_of
-from aleator.certification._systems import Simulations, Values, history_of
+from aleator.certification._systems import FreshSystems, Simulations, Values, history_of, systems_of
 from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, grid_at, statistics_in
 from aleator.dynamics import AbstractIntegrator, Grid, Rodas5P
 from aleator.statistics import Mean, Std

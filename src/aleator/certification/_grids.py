@@ -18,8 +18,8 @@ from aleator.certification._check import (
     row_sizes,
     spread_functionals,
 )
-from aleator.certification._fresh import pieces, simulates_inside
 from aleator.certification._limits import OWN_ERROR, limits_at, reach_of
+from aleator.certification._systems import pieces, simulates_inside
 from aleator.design import Problem, functionals_of, instants_of, is_over_time
 from aleator.dynamics import Instant
 from aleator.nlp import Status

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
 from aleator.certification._check import NEGLIGIBLE_SPREAD, Check, certain
-from aleator.certification._fresh import DEEPEST_OF_SHAPES, OF_THE_SHAPE, fresh_systems, has_shape, systems_of
+from aleator.certification._systems import DEEPEST_OF_SHAPES, OF_THE_SHAPE, fresh_systems, has_shape, systems_of
 from aleator.certification._tails import KnownStatistics, tail_objections
 from aleator.design import Statistic, expanded_functionals
 from aleator.ensemble import inputs_at, listed

@@ -1,16 +1,18 @@
-"""CHECK: one compiled program that simulates systems on a finer grid, with an integrator of another order.
+"""CHECK: one compiled program that simulates systems on a finer grid, with an integrator of another order; and fresh
+systems, which a solver has not seen, with the weights by which they stand for all.
 
-It gives functionals of each system, and nothing else: all that follows from them is computed by NumPy, for each further
-operation beside a loop over time, such as a slice or a sum, takes as long to compile as some inside.
+CHECK gives functionals of each system, and nothing else: all that follows from them is computed by NumPy, for each
+further operation beside a loop over time, such as a slice or a sum, takes as long to compile as some inside.
 
 The finer grid has an odd prime number of times as many steps, so that its instants are in no phase with those of the
 problem's: what is constant at these, such as a ripple of their period, shows there.
 """
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from typing import Any, NamedTuple, TypeVar, final
 
 import jax
 import numpy as np
@@ -19,9 +21,9 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Bound, Compiled, Use
 from aleator._core.parallel import beside
-from aleator.certification._fresh import FreshSystems, is_checked, systems_of
 from aleator.design import (
     AbstractFunctional,
+    Expression,
     Path,
     Problem,
     Sampled,
@@ -29,10 +31,33 @@ from aleator.design import (
     functionals_of,
     integrated_paths,
     sample,
+    statistics_in,
 )
-from aleator.dynamics import Grid
-from aleator.ensemble import fill
+from aleator.dynamics import FINER, Grid, Simulation
+from aleator.ensemble import at_levels, fill, random_levels
+from aleator.statistics import CornishFisher, Kurtosis, Skewness
+from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised
+from aleator.uncertainty import AbstractGerm
+
+# Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
+# then the least number of steps in all, and between two knots.
+_FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
+# Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
+_FRESH = 32
+# Fresh systems of an answer where these leave a doubt. Of one or two germ variables they cover the range densely, as
+# many as this at least; more, and all in one check, where nothing is simulated.
+_MOST, _DENSE, _MOST_DENSE, _AT_ONCE = 1024, 256, 2048, 1024
+# What two successive points of an even sequence differ by, in one and in two variables: the golden ratio and its next.
+_EVEN_STEPS = {1: (0.6180339887498949,), 2: (0.7548776662466927, 0.5698402909980532)}
+# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median. Third
+# and fourth powers owe something to more than 5.
+_DEEPEST, DEEPEST_OF_SHAPES, _SHALLOWEST = 1e-5, 1e-8, 0.5
+
+_Part = TypeVar("_Part")
+
+OF_THE_SHAPE = (Skewness, Kurtosis, CornishFisher)
+"""Statistics of third and fourth powers."""
 
 # Most steps of all systems together in checks that take longer to compile well than to run, about ten times in all.
 _FEW_STEPS = 500_000
@@ -41,6 +66,131 @@ _SAME = 1e-9
 
 Values = dict[AbstractFunctional, Float[np.ndarray, "systems ..."]]
 """Functionals of some systems, and the histories of all outputs in them, as paths."""
+
+
+class FreshSystems(NamedTuple):
+    """Germ points, and the weights with which their mean stands for all systems."""
+
+    points: Float[np.ndarray, "fresh variables"]
+    weights: Float[np.ndarray, " fresh"]
+
+    @property
+    def draws(self) -> tuple[int, int]:
+        """How many draws of so many systems an answer deserves, and how many where these leave a doubt."""
+        count, variables = self.points.shape
+        least, most = (_DENSE, _MOST_DENSE) if variables in _EVEN_STEPS else (_FRESH, _MOST)
+        return max(least // count, 1), most // count
+
+
+def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int, deepest: float = _DEEPEST) -> FreshSystems:
+    """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
+
+    Of one or two germs the former half goes on evenly from draw to draw (Kronecker sequences by the golden ratio and
+    its generalisation, begun at random): 256 systems leave no part of more than 1.5 % of one germ's range without any.
+
+    An output may owe much of its spread to the one system in a hundred that no collocation point and none of a few
+    random systems resembles. Depths within a tail are log-uniform, spread evenly over the systems of that tail. Weights
+    undo the choice (multiple importance sampling with the balance heuristic of Veach and Guibas, 1995); none exceeds 2.
+    """
+    generator, half = np.random.default_rng(2 + draw), count // 2
+    levels = random_levels(generator, count, len(germs))
+    if steps := _EVEN_STEPS.get(len(germs)):
+        begun = np.random.default_rng(2).random(len(steps))
+        levels[:half] = (begun + np.outer(draw * half + np.arange(1, half + 1), steps)) % 1
+    place = np.arange(count - half)
+    tails = place % (2 * len(germs))
+    which, upper, drawn = tails // 2, tails % 2 == 1, np.bincount(tails, minlength=2 * len(germs))
+    # One in each of the equal parts of its tail's logarithmic range.
+    parts = np.empty(len(tails))
+    parts[np.argsort(tails, kind="stable")] = generator.random(len(tails))
+    parts = (place // (2 * len(germs)) + parts) / drawn[tails]
+    depths = deepest * (_SHALLOWEST / deepest) ** parts
+    levels[half + place, which] = np.where(upper, 1 - depths, depths)
+    lower_and_upper = _tail_density(levels, deepest), _tail_density(1 - levels, deepest)
+    in_tails = lower_and_upper[0] @ drawn[::2] + lower_and_upper[1] @ drawn[1::2]
+    density = (half + in_tails) / count
+    return FreshSystems(at_levels(germs, levels), 1 / density)
+
+
+def _tail_density(depths: np.ndarray, deepest: float) -> np.ndarray:
+    """The density of a level at a depth below the median, relative to a random one."""
+    inside = (depths >= deepest) & (depths <= _SHALLOWEST)
+    return np.where(inside, 1 / (np.maximum(depths, deepest) * np.log(_SHALLOWEST / deepest)), 0.0)
+
+
+def has_shape(expressions: tuple[Expression, ...]) -> bool:
+    """Whether a statistic of third or fourth powers stands in some expression."""
+    return any(isinstance(one.kind, OF_THE_SHAPE) for one in statistics_in(expressions))
+
+
+def simulates_inside(problem: Problem) -> bool:
+    """Whether the model itself calls `simulate`."""
+    equations = problem.simulation.equations
+    return equations is not None and equations.finer is not None
+
+
+def systems_of(problem: Problem, draw: int) -> FreshSystems:
+    """Fresh systems of a problem, the same at every call, so that answers are repeatable."""
+    germs = problem.placements.germs.values()
+    if not germs:
+        return FreshSystems(np.zeros((0, 0)), np.zeros(0))
+    is_dense = len(germs) in _EVEN_STEPS and not (problem.system.has_time or simulates_inside(problem))
+    deepest = DEEPEST_OF_SHAPES if has_shape(problem.expressions) else _DEEPEST
+    if is_dense or not divides_steps(problem):
+        return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw, deepest)
+    # A step with many equations of single numbers takes hardly longer for all systems at once.
+    count = fresh_systems(germs, _FRESH, 0, deepest).draws[0]
+    draws = (fresh_systems(germs, _FRESH, draw * count + one, deepest) for one in range(count))
+    return FreshSystems(*map(np.concatenate, zip(*draws, strict=True)))
+
+
+def is_checked(problem: Problem) -> bool:
+    """Whether a problem simulates something that has a grid, or that is uncertain."""
+    has_parts = problem.system.has_time or bool(problem.placements.germs) or simulates_inside(problem)
+    return has_parts and bool(functionals_of(problem.expressions))
+
+
+def check_factor(problem: Problem, between: int | None) -> int:
+    """How many times as many steps the finer grid of a problem has, an odd prime number times what reaches the nodes of
+    its controls; 1 without time.
+
+    `between`: the least number, see `solve`.
+    """
+    if not functionals_of(problem.expressions):
+        return 1
+    if not problem.system.has_time:
+        return FINER if simulates_inside(problem) else 1
+    phases = problem.simulation.phases.values()
+    chosen = between if between is not None else _FOLLOWING if pieces(problem) else _PLAIN
+    by_piece = max(-(-_BY_PIECE * _pieces(one) // one.grid.steps) for one in phases)
+    least = max(chosen, -(-_FEWEST // problem.grid.steps), by_piece, 3)
+    # Steps end at each node of a control.
+    own = (math.lcm(least_steps((one.system, one.inputs)), one.grid.steps) // one.grid.steps for one in phases)
+    whole = math.lcm(*own)
+    least = max(3, -(-least // whole))
+    prime = next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
+    return whole * prime
+
+
+def pieces(problem: Problem) -> int:
+    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none.
+
+    What follows trajectories is arbitrary between two instants.
+    """
+    return max(map(_pieces, problem.simulation.phases.values()))
+
+
+def _pieces(phase: Simulation) -> int:
+    parts = phase.system, phase.inputs
+    whole = least_steps(parts) if piecewise_in(parts) else 0
+    splines = (one.count - one.degree for one in parts_in(parts, BSpline))
+    return max([bool(parts_in(parts, AbstractTrajectory)), whole, *splines])
+
+
+def parts_in(tree: Any, kind: type[_Part]) -> list[_Part]:
+    """All parts of a model that are of a kind, including those inside parts of other kinds."""
+    leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, kind))
+    return [one for one in leaves if isinstance(one, kind)]
 
 
 def _recorded(problem: Problem) -> tuple[tuple[AbstractFunctional, ...], tuple[AbstractFunctional, ...]]:

@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator.certification._check import ROUNDING, Check
-from aleator.certification._fresh import FreshSystems
+from aleator.certification._systems import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, statistics_in
 from aleator.statistics import (
     AbstractStatistic,

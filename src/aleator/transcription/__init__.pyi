@@ -13,13 +13,13 @@ from ._constraints import excess_of as excess_of
 from ._constraints import refuse_blind as refuse_blind
 from ._constraints import rows_by_name as rows_by_name
 from ._discretised import Discretised as Discretised
+from ._discretised import Scenarios as Scenarios
 from ._discretised import divided as divided
+from ._discretised import germ_box as germ_box
 from ._expansions import ExpansionScope as ExpansionScope
 from ._expansions import Resolved as Resolved
 from ._expansions import Terms as Terms
 from ._expansions import scope_from as scope_from
-from ._scenarios import Scenarios as Scenarios
-from ._scenarios import germ_box as germ_box
 from ._transcribe import DEFAULT as DEFAULT
 from ._transcribe import transcribe as transcribe
 from ._warm_start import started_from as started_from

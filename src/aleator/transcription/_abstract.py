@@ -18,9 +18,8 @@ from aleator.expansion import AbstractBasis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.statistics import Constants
-from aleator.transcription._discretised import Discretised
+from aleator.transcription._discretised import Discretised, Scenarios
 from aleator.transcription._expansions import Resolved, resolved
-from aleator.transcription._scenarios import Scenarios
 from aleator.uncertainty import Placements
 
 # The start of a search or its latest point, and the one before.

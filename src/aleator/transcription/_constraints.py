@@ -26,7 +26,7 @@ from aleator.design import (
 from aleator.nlp import HELD, UNBOUNDED, Evaluation, Matrix, Outcome, variable_range
 from aleator.statistics import Mean, Probability, Std, Variance
 from aleator.transcription._abstract import AbstractTranscribed
-from aleator.transcription._scenarios import Scenarios
+from aleator.transcription._discretised import Scenarios
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
 """Rows of each constraint; their number differs between constraints."""

@@ -38,9 +38,8 @@ from aleator.transcription._constraints import (
     spread,
     spreads_of,
 )
-from aleator.transcription._discretised import Discretised, discretised
+from aleator.transcription._discretised import Discretised, Scenarios, discretised, first_scenarios
 from aleator.transcription._expansions import scope_of
-from aleator.transcription._scenarios import Scenarios, first_scenarios
 from aleator.transcription.sequential._evaluator import Evaluator, use_of
 from aleator.transcription.sequential._instantaneous import anchors_of, instantaneous
 from aleator.transcription.sequential._population import Population

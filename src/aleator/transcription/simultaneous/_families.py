@@ -24,6 +24,7 @@ from aleator.dynamics import AbstractMeanRate, System, together
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
+from aleator.transcription.simultaneous._evaluations import known_numbers
 from aleator.transcription.simultaneous._layout import (
     Layout,
     PhaseLayout,
@@ -34,7 +35,6 @@ from aleator.transcription.simultaneous._layout import (
 )
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 
 

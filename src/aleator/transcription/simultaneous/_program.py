@@ -15,7 +15,7 @@ from aleator.nlp import Evaluation, Hessian, NonlinearProgram, SparseMatrix
 from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
 from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
-from aleator.transcription._scenarios import Scenarios
+from aleator.transcription._discretised import Scenarios
 from aleator.transcription.simultaneous._assembly import (
     Curvature,
     Jacobian,

@@ -21,12 +21,11 @@ from numpy.polynomial import legendre
 from aleator.design import Problem
 from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._evaluations import evaluated_at
+from aleator.transcription.simultaneous._evaluations import evaluated_at, signals_at
 from aleator.transcription.simultaneous._families import RATES, number_of
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._program import Assembled
-from aleator.transcription.simultaneous._signals import signals_at
 
 # Between two meshes an interval is divided into at most so many parts; each is to be this much better than asked.
 _MOST_PARTS, _AHEAD = 8, 2.0

@@ -30,11 +30,10 @@ from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Mean
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered
-from aleator.transcription._discretised import Discretised
+from aleator.transcription._discretised import Discretised, Scenarios
 from aleator.transcription._expansions import ExpansionScope
-from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._costates import adjoint
-from aleator.transcription.simultaneous._evaluations import first_crossing
+from aleator.transcription.simultaneous._evaluations import affine_signals, first_crossing
 from aleator.transcription.simultaneous._layout import Layout, PhaseLayout, Plan
 from aleator.transcription.simultaneous._magnitudes import scales
 from aleator.transcription.simultaneous._mesh import Mesh, followed, joined, whole_parts
@@ -52,7 +51,6 @@ from aleator.transcription.simultaneous._refinement import (
     states_on,
 )
 from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import affine_signals
 from aleator.transcription.simultaneous._starts import (
     Course,
     Start,
