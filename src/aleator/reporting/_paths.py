@@ -5,7 +5,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -153,9 +153,14 @@ def path_figure(
             low, high = (path.mean + sign * sigmas * path.std for sign in (-1, 1))
             add_band(figure, times, low, high, styles[name].fill(0.25))
     for dash, (name, path) in zip(itertools.cycle(DASHES), paths.items(), strict=False):
-        spread = f" ± {sigmas:.3g} σ" if np.any(path.std) else ""
-        shown = {"name": f"{name}{spread}", "line_dash": dash, "customdata": short(path.std)}
-        draw(figure, short(times), short(path.mean), styles[name], mode="lines", hover="σ: %{customdata:.2~g}", **shown)
+        shown: dict[str, Any] = {"name": name, "line_dash": dash}
+        if np.any(path.std):
+            shown |= {
+                "name": f"{name} ± {sigmas:.3g} σ",
+                "hover": "σ: %{customdata:.2~g}",
+                "customdata": short(path.std),
+            }
+        draw(figure, short(times), short(path.mean), styles[name], mode="lines", **shown)
     for bound, text in limits.items():
         limit_line(figure, bound, text)
     return figure.update_layout(showlegend=True)

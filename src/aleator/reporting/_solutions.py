@@ -30,6 +30,7 @@ from aleator.reporting._paths import (
     limit_figure,
     limits_of,
     motion_figure,
+    path_figure,
     paths_of,
 )
 from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
@@ -50,7 +51,7 @@ from aleator.reporting._style import (
     stacked,
 )
 from aleator.reporting._tables import design_rows, side_by_side, status_words
-from aleator.solution import Costates, MeshError, Solution, States, Switching
+from aleator.solution import Costates, MeshError, Moments, Solution, States, Switching
 from aleator.solving import simulate_systems
 from aleator.uncertainty import AbstractDecision, placements
 
@@ -58,34 +59,20 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 _NO_STATE = "expected states that are variables of the program; received a system without states."
-# What each quantity of all realisations is called in its figure, and what is said where there is none.
-_OF_REALISATIONS = {
-    "state": ("{}", _NO_STATE),
-    "costate": ("Costate of {}", _NO_STATE),
-    "input": ("Switching function of {}", "expected inputs that are certain; received none."),
-}
-
-
-def _realisations(
-    kind: str, part: States | Costates | Switching, name: str | None, units: Mapping[str, str] = MappingProxyType({})
-) -> "Figure":
-    """A state, a costate or a switching function over time; by default the first."""
-    title, nothing = _OF_REALISATIONS[kind]
-    name, values = chosen(f"plot.{kind}", name, part.values, nothing)
-    shown: dict[str, Any] = {"y": title.format(name), "unit": units.get(name, ""), "who": "realisations"}
-    if kind == "input":
-        values = np.asarray(values)[None]
-        shown |= {"who": "switching functions", "limits": {0.0: "an input inside its bounds makes it zero"}}
-    return histories_figure(part.times_of(name), values, **shown)
 
 
 @plots_of.register(States)
 class StatesPlots(AbstractPlots[States]):
     """Figures of the states of all realisations."""
 
-    def state(self, name: str | None = None) -> "Figure":
-        """A state over time, of every realisation at the collocation points; by default the first."""
-        return _realisations("state", self._result, name)
+    def state(self, name: str | None = None, *, units: Mapping[str, str] = MappingProxyType({})) -> "Figure":
+        """A state over time, of every realisation at the collocation points; by default the first.
+
+        - `units`: of states, by name.
+        """
+        name, values = chosen("plot.state", name, self._result.values, _NO_STATE)
+        times, unit = self._result.times_of(name), units.get(name, "")
+        return histories_figure(times, values, y=name, unit=unit, who="realisations")
 
 
 @plots_of.register(Costates)
@@ -94,7 +81,8 @@ class CostatesPlots(AbstractPlots[Costates]):
 
     def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of every realisation at the collocation points; by default the first."""
-        return _realisations("costate", self._result, name)
+        name, values = chosen("plot.costate", name, self._result.values, _NO_STATE)
+        return histories_figure(self._result.times_of(name), values, y=f"Costate of {name}", who="realisations")
 
 
 @plots_of.register(Switching)
@@ -103,7 +91,11 @@ class SwitchingPlots(AbstractPlots[Switching]):
 
     def input(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, with its zero; by default of the first."""
-        return _realisations("input", self._result, name)
+        nothing = "expected inputs that are certain; received none."
+        name, values = chosen("plot.input", name, self._result.values, nothing)
+        path = {name: Moments(values, np.zeros_like(values))}
+        limits, times = {0.0: "an input inside its bounds makes it zero"}, self._result.times_of(name)
+        return path_figure(times, path, y=f"Switching function of {name}", limits=limits)
 
 
 _NO_PATH = (
@@ -213,16 +205,16 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def state(self, name: str | None = None) -> "Figure":
         """A state over time, of all realisations of a simultaneous program."""
-        units = units_of_outputs(self._result.problem)
-        return _realisations("state", _collocated(self._result.mesh_states, "plot.state"), name, units)
+        states = _collocated(self._result.mesh_states, "plot.state")
+        return states.plot.state(name, units=units_of_outputs(self._result.problem))
 
     def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of all realisations of a simultaneous program."""
-        return _realisations("costate", _collocated(self._result.costates, "plot.costate"), name)
+        return _collocated(self._result.costates, "plot.costate").plot.costate(name)
 
     def switching(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, of a simultaneous program."""
-        return _realisations("input", _collocated(self._result.switching, "plot.switching"), name)
+        return _collocated(self._result.switching, "plot.switching").plot.input(name)
 
     def mesh(self) -> "Figure":
         """The meshes of a simultaneous program, with their errors."""

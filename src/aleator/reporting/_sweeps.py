@@ -1,7 +1,7 @@
 """Figures, tables and facts of other sweeps: trade-offs, calibrations, penalties, starts, portfolios, cross-checks."""
 
 import html
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -58,19 +58,22 @@ def _labels(front: TradeOff) -> list[str]:
     return [label(name, unit) for name, unit in zip(front.names, _units(front), strict=True)]
 
 
-def _texts(front: TradeOff) -> list[str]:
-    """The numbers of each design, to be shown over its point."""
-    wishes, units = [label(name) for name in front.names], _units(front)
-    rows = [[number(float(value), 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
-    return ["<br>".join(f"{name}: {text}" for name, text in zip(wishes, row, strict=True)) for row in rows]
+def _texts(front: TradeOff, *on_axes: int) -> list[str]:
+    """The numbers of each design but those on the axes of a figure, to be shown over its point."""
+    wishes = list(zip(front.names, _units(front), front.values.T, strict=True))
+    others = [one for i, one in enumerate(wishes) if i not in on_axes]
+    columns = [[f"{label(name)}: {number(float(one), 5, unit)}" for one in column] for name, unit, column in others]
+    return ["<br>".join(row) for row in zip(*columns, strict=True)]
 
 
 def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
     """Two wishes, by their places among `front.names`, against one another."""
     figure = blank(*(_labels(front)[i] for i in (first, second)))
     look, (x, y) = looks(["design"])["design"], (front.values[:, i] for i in (first, second))
-    line = {"line_color": look.fill(0.4), "line_width": 1.5} if len(front.names) == 2 else {"mode": "markers"}
-    draw(figure, x, y, look, hover="%{text}", text=_texts(front), meta=list(range(len(x))), **line)
+    shown: dict[str, Any] = {"mode": "markers", "text": _texts(front, first, second), "hover": "%{text}"}
+    if len(front.names) == 2:
+        shown = {"line_color": look.fill(0.4), "line_width": 1.5}
+    draw(figure, x, y, look, meta=list(range(len(x))), **shown)
     return figure.update_layout(showlegend=False)
 
 
