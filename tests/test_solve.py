@@ -174,3 +174,31 @@ def test_a_broken_derivative_is_told_from_a_broken_simulation(start, words):
     problem = al.Problem(Broken(al.Decision(start, 0.0, 2.0)), minimize=al.output("y").mean)
     with pytest.raises(al.SimulationError, match=words):
         al.solve(problem)
+
+
+class Driven(al.System):
+    """A mass, pushed ahead and back by inputs of their own."""
+
+    states = ("x", "v")
+
+    def rhs(self, t, z, ahead, back):
+        return z.v, ahead - back
+
+    def outputs(self, t, z, ahead, back):
+        return {"x": z.x, "v": z.v}
+
+
+def test_where_many_controls_begin_at_their_bounds_the_search_goes_on_by_interior_points():
+    """To the place where it rests again a mass takes twice the root of the distance, by all the force there is."""
+    controls = {
+        "ahead": al.Control(lambda s: 1.0 * (s < 0.4), 0.0, 1.0, degree=0),
+        "back": al.Control(lambda s: 1.0 * (s > 0.6), 0.0, 1.0, degree=0),
+    }
+    problem = al.Problem(
+        Driven(),
+        grid=al.Grid(al.Decision(2.5, 1.0, 6.0), 40),
+        inputs=controls,
+        minimize=al.objectives.final_time(),
+        subject_to=[al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
+    )
+    assert al.solve(problem).objective == pytest.approx(2.0, rel=1e-6)

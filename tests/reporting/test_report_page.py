@@ -136,6 +136,9 @@ def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparis
     strict = proposal(designs, {"nominal": often, "robust": few}, target=0.002)
     assert few.joint.upper > 0.002
     assert (strict.level, strict.word) == ("caution", "Do not build yet")
+    assert (
+        f"1 system in 1000 exceeds a limit, at most {number(1000 * few.joint.upper, 2)} (target 2)" in strict.headline
+    )
 
 
 def test_numbers_are_written_with_four_significant_digits():

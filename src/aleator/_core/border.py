@@ -64,6 +64,7 @@ def writing(who: str, path: Any) -> Iterator[Path]:
 def meant(name: str, known: Collection[str]) -> str:
     """A question that names the known name nearest to an unknown one; empty if none is near."""
     alike = [one for one in known if one.lower() == name.lower()]
+    alike = alike or [one for one in known if one.startswith(f"{name}.")]
     close = alike or difflib.get_close_matches(name, known, n=1)
     return f" Did you mean '{close[0]}'?" if close else ""
 

@@ -19,7 +19,8 @@ from aleator.analysis._expand import Sampler, expand
 from aleator.analysis._expanded import Expanded
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
-from aleator.references import Inputs, Linearised, linear_at_means
+from aleator.references import Linearised
+from aleator.references._taylor import Inputs, linear_at_means
 from aleator.statistics import Probability, lines_through, points_in_tail, tail_proposal
 from aleator.uncertainty import (
     AbstractDistribution,

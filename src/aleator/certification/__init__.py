@@ -3,10 +3,10 @@
 from aleator.certification._between import Margins as Margins
 from aleator.certification._between import Shift as Shift
 from aleator.certification._between import Shifts as Shifts
+from aleator.certification._between import cost_of_margins as cost_of_margins
 from aleator.certification._between import excess_between as excess_between
 from aleator.certification._between import limits_beside as limits_beside
 from aleator.certification._between import margins_for as margins_for
-from aleator.certification._between import narrows as narrows
 from aleator.certification._between import tightened as tightened
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check

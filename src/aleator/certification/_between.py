@@ -25,7 +25,7 @@ from aleator.certification._limits import Limit, limits_at
 from aleator.certification._systems import parts_in
 from aleator.design import is_over_time, path_of, statistics_in
 from aleator.dynamics import Simulation
-from aleator.nlp import HELD, End, NonlinearProgram, Peak, with_peaks
+from aleator.nlp import HELD, End, NonlinearProgram, Outcome, Peak, with_peaks
 from aleator.solution import Between
 from aleator.statistics import Mean
 from aleator.trajectories import BSpline, jumping_in, piecewise_in
@@ -334,7 +334,7 @@ def limits_beside(margins: Margins) -> bool:
     return any(one is not None and one.instead for one in margins)
 
 
-def narrows(transcribed: AbstractTranscribed, margins: Margins) -> bool:
+def _narrows(transcribed: AbstractTranscribed, margins: Margins) -> bool:
     """Whether bounds are moved inwards at rows that limit their own values, which costs more than it has to."""
     each = zip(margins, transcribed.scales, strict=True)
     moved = ((one, np.argwhere(one.by > HELD * size).tolist()) for one, size in each if one is not None)
@@ -354,3 +354,11 @@ def tightened(transcribed: AbstractTranscribed, margins: Margins) -> NonlinearPr
         peaks += [what._replace(rows=rows.start + what.rows * width + of) for (_, of), what in margin.instead.items()]
     program = replace(program, constraint_lower=lower, constraint_upper=upper)
     return with_peaks(program, peaks) if peaks else program
+
+
+def cost_of_margins(transcribed: AbstractTranscribed, margins: Margins, loosest: float, outcome: Outcome) -> float:
+    """How much worse an objective is by bounds that were tightened, relative to the larger one."""
+    tightest = outcome.evaluation.objective
+    if not (tightest > loosest and _narrows(transcribed, margins)):
+        return 0.0
+    return (tightest - loosest) / max(abs(loosest), abs(tightest))

@@ -64,11 +64,9 @@ from ._solutions import mesh_figure as mesh_figure
 from ._solutions import search_figure as search_figure
 from ._spreads import Axis as Axis
 from ._spreads import Box as Box
-from ._spreads import Trial as Trial
 from ._spreads import bars_figure as bars_figure
 from ._spreads import calibration_figure as calibration_figure
 from ._spreads import density_figure as density_figure
-from ._spreads import effort_figure as effort_figure
 from ._spreads import percentile_figure as percentile_figure
 from ._spreads import projection_figure as projection_figure
 from ._spreads import shares_figure as shares_figure

@@ -163,7 +163,8 @@ def _frequency(share: Share, target: float, who: str, compared: Mapping[str, Evi
     against = f", against {words(others)}" if others else ""
     many, several = _of(base, share.estimate), count(base) if base > 9999 else base
     break_it = f"{who.removesuffix('s')} in {several} exceeds" if many == "1" else f"{who} in {several} exceed"
-    return f"{many} {break_it} a limit ({aimed}){against}."
+    at_most = f", at most {_of(base, share.upper)}" if share.upper > target >= share.estimate else ""
+    return f"{many} {break_it} a limit{at_most} ({aimed}){against}."
 
 
 def _of(base: int, share: float) -> str:

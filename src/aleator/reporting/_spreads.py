@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
-from aleator.reporting._numbers import count, given, number, seconds, share_text
+from aleator.reporting._numbers import count, given, number, share_text
 from aleator.reporting._style import (
     ALARM,
     DASHES,
@@ -103,27 +103,6 @@ def _draw_shares(figure: "Figure", x: Sequence[Any], shares: Sequence[Share], lo
     }
     over = {"text": [plain(share_text(one)) for one in shares], "hover": "%{text}"}
     draw(figure, x, [100 * one.estimate for one in shares], look, error_y=bars, **over, **style)
-
-
-class Trial(NamedTuple):
-    """One result of a method: its effort in model calls and in wall time (s), and its error."""
-
-    name: str
-    calls: int
-    seconds: float
-    error: float
-
-
-def effort_figure(methods: Mapping[str, Sequence[Trial]], *, error: str, unit: str = "", by: str = "calls") -> "Figure":
-    """The error of methods against their effort, on logarithmic axes: `by` is `calls` or `seconds`."""
-    axis = {"calls": label("Model calls"), "seconds": label("Wall time", "s")}[by]
-    figure = blank(axis, label(error, unit))
-    for name, look in looks(methods).items():
-        trials = [one for one in methods[name] if one.error > 0]
-        texts = [f"{plain(one.name)}: {count(one.calls)} calls, {seconds(one.seconds)}" for one in trials]
-        efforts, errors = [getattr(one, by) for one in trials], [one.error for one in trials]
-        draw(figure, efforts, errors, look, name=name, text=texts, hover="%{text}")
-    return figure.update_xaxes(type="log").update_yaxes(type="log")
 
 
 def density_figure(

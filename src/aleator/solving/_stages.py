@@ -21,6 +21,7 @@ from aleator.certification import (
     begin_check,
     broken_at,
     check_factor,
+    cost_of_margins,
     diagnose,
     excess_between,
     grid_error,
@@ -30,7 +31,6 @@ from aleator.certification import (
     magnitudes_at,
     margins_for,
     misled_at,
-    narrows,
     pieces,
     prepare_check,
     scenarios_at_start,
@@ -44,9 +44,11 @@ from aleator.nlp import (
     HELD,
     AbstractSearch,
     AbstractSolver,
+    Ipopt,
     NonlinearProgram,
     Outcome,
     Status,
+    default_solver,
     least_excess,
     restart_of,
 )
@@ -71,6 +73,8 @@ _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 
 _MOST_STEPS = 20
 # Iterations to a design that meets the limits, or to the least excess, however few the search itself was allowed.
 _MOST_TO_LIMITS = 200
+# As many decisions or more are searched by interior points where active sets change too slowly.
+_MANY = 30
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
 _ROUGH = 1e-4
@@ -119,7 +123,7 @@ class Stages(NamedTuple):
         outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = looked_around(transcribed, self.solver.local, outcome, first)
-        outcome = self._with_limits_met(transcribed, outcome)
+        outcome = self._with_limits_met(transcribed, self._from_inside(transcribed, outcome))
         # The mesh is fine enough for what was searched, not for an answer elsewhere.
         is_elsewhere = outcome.status is Status.SOLVED and outcome.point is not searched.point
         if self.transcription.refines and oracle is None and is_elsewhere:
@@ -188,6 +192,16 @@ class Stages(NamedTuple):
         program = valued_by(executor, program, "solve")
         return solver.solve(program, start=start, multipliers=multipliers if fits else None)
 
+    def _from_inside(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
+        """An outcome that meets all limits, but is no optimum: active sets of many decisions, such as controls that
+        jump between their bounds, may change so slowly that the solver nobody chose goes on by interior points.
+        """
+        is_slow = outcome.status in UNSOLVED and outcome.violation <= HELD and not outcome.strayed
+        if not is_slow or outcome.point.size < _MANY or self.solver != default_solver():
+            return outcome
+        further = self._replace(solver=Ipopt(self.solver.tolerance)).searched(transcribed, outcome.point, None)
+        return further.with_effort_of(outcome) if further.status is Status.SOLVED else outcome
+
     def _with_limits_met(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
         """An outcome whose search ended where limits do not hold: goes on from a design at which they do.
 
@@ -213,7 +227,7 @@ class Stages(NamedTuple):
             further = self.searched(transcribed, start, None, goes_on=True)
             if further.violation <= HELD:
                 return further.with_effort_of(outcome)
-            missed = "A design meets all limits, but the search leaves it: start from al.conflict(problem).nearest"
+            missed = "A design meets all limits, but the search leaves it: give start=al.conflict(problem).nearest"
             return replace(outcome, status=Status.FAILED, message=missed).with_effort_of(further)
         if not least.is_shown:
             return outcome
@@ -355,14 +369,6 @@ class Stages(NamedTuple):
             rounds += 1
         worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
-
-
-def cost_of_margins(transcribed: AbstractTranscribed, margins: Margins, loosest: float, outcome: Outcome) -> float:
-    """How much worse an objective is by bounds that were tightened, relative to the larger one."""
-    tightest = outcome.evaluation.objective
-    if not (tightest > loosest and narrows(transcribed, margins)):
-        return 0.0
-    return (tightest - loosest) / max(abs(loosest), abs(tightest))
 
 
 def looked_around(

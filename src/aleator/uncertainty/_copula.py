@@ -89,7 +89,7 @@ def refuse_correlated(distributions: Mapping[str, AbstractDistribution], names: 
             raise ProblemError(
                 f"Sobol index: '{name}' belongs to the correlated group '{groups[name]}', whose variance has no parts "
                 "that belong to one input alone. Take Shapley effects, which share it out among inputs: "
-                "al.expand(...).shapley(name)."
+                "al.expand(...).shapley(name), without elements."
             )
 
 

@@ -379,6 +379,7 @@ def _discretised(germ: AbstractDensityGerm, order: int, halvings: int) -> tuple[
         if np.isinf(end) and not np.all(np.abs(column) < 1e-6):
             raise ProblemError(
                 f"The tail of a density decays too slowly for polynomials of order {order}: the moments that they "
-                "need do not exist. Bound the density by `lower` and `upper`, or lower the order."
+                "need do not exist. Bound the density by `lower` and `upper`, lower the order, or take "
+                "al.points.GaussPoints(), which need fewer than other points."
             )
     return a, b
