@@ -200,7 +200,8 @@ class Stages(NamedTuple):
         if not is_slow or outcome.point.size < _MANY or self.solver != default_solver():
             return outcome
         further = self._replace(solver=Ipopt(self.solver.tolerance)).searched(transcribed, outcome.point, None)
-        return further.with_effort_of(outcome) if further.status is Status.SOLVED else outcome
+        ends = further.status in (Status.SOLVED, Status.INTERRUPTED)
+        return further.with_effort_of(outcome) if ends else outcome.with_effort_of(further)
 
     def _with_limits_met(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
         """An outcome whose search ended where limits do not hold: goes on from a design at which they do.
