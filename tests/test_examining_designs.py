@@ -126,3 +126,16 @@ def test_an_infinite_slope_is_told_of_its_decision_and_hides_no_other():
     assert not found.ok
     # The change over a tenth of the typical magnitude of 0.3.
     assert found.effects[0, 1] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("rule", "start", "kind"),
+    [
+        (lambda a, b: jnp.maximum(a, -a) + b, 0.0, "kinks"),
+        (lambda a, b: jax.lax.stop_gradient(a) ** 2 + b, 2.0, "wrong"),
+    ],
+)
+def test_at_a_bound_where_one_side_is_seen_a_kink_is_told_from_a_wrong_derivative(rule, start, kind):
+    found = al.examine(of(rule, a=al.Decision(start, 0.0, 2.0)))
+    told = {name: getattr(found, name) for name in ("kinks", "jumps", "wrong", "endless")}
+    assert [name for name, sentences in told.items() if any("by a" in one for one in sentences)] == [kind]

@@ -24,6 +24,9 @@ _LADDER = 10.0 ** -np.arange(3.0, 19.0)
 # stay, by such factors, and then fall at once by all, unless they are below the last number.
 _FALLS, _NEAR, _NEARER = (1e-3, 0.2), 0.5, 0.02
 _STAYS, _SMALL = (0.5, 2.0), 2e-3
+# A derivative a step away from a bound is right if it misses the slope by less than this part of what the one at the
+# bound does.
+_SAME_BEYOND = 0.1
 
 
 class Slopes(NamedTuple):
@@ -97,6 +100,16 @@ def slopes_at(program: NonlinearProgram, point: Float[np.ndarray, " n"]) -> Slop
         ladder = np.array([[side(i, -step), side(i, step)] for step in lengths.tolist()])
         is_steep = _is_steep(exact[:, i], ladder.reshape(-1, 2, value.size), noise / lengths[:, None])
         broken[:, is_steep, i] = False
+    # At a bound one side is not seen: a derivative that is right a step away from it shows a kink, not a wrong rule.
+    unseen = np.isnan(sides[0]).all(axis=1)
+    for i in np.flatnonzero(broken[2].any(axis=0) & unseen.any(axis=0)).tolist():
+        moved, toward = point.copy(), 1.0 if unseen[0, i] else -1.0
+        moved[i] += toward * _STEPS[0] * program.variable_scale[i]
+        there, slopes = program.evaluate(moved), sides[0, int(unseen[0, i]), :, i]
+        every = np.append(there.gradient[i], dense_rows(there.jacobian, np.arange(there.constraints.size))[:, i])
+        away = np.abs(every * program.variable_scale[i] - slopes)
+        is_kink = broken[2, :, i] & (away < _SAME_BEYOND * np.abs(exact[:, i] - slopes))
+        broken[0, is_kink, i], broken[2, is_kink, i] = True, False
     effects = np.fmax(np.nan_to_num(np.abs(exact)), np.nan_to_num(np.fmax(*np.abs(far))))
     (left, right), (kinks, jumps, wrong) = sides[-1], broken
     return Slopes(found, left, right, effects, kinks, jumps, wrong, endless)
