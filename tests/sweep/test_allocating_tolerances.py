@@ -53,6 +53,7 @@ class Sum(al.AlgebraicSystem):
         return {"length": self.factor * (self.a + self.b) + self.c}
 
 
+@pytest.mark.slow
 def test_correlations_other_distributions_and_decided_numbers_of_a_stack_count():
     parts = {name: al.Toleranced(middle, tolerance=0.1) for name, middle in (("a", 2.0), ("b", 3.0))}
     correlated = al.correlated(parts, {("a", "b"): 0.8})

@@ -121,9 +121,14 @@ class Contribution(Printed):
         """The linear share in words where it is another one."""
         return f" ({self.linear:.3g} % linearly)" if abs(self.share - self.linear) > _DIFFERS else ""
 
+    @property
+    def slope(self) -> str:
+        """The sensitivity in words; empty where the output has no derivative at the means."""
+        return f"sensitivity {self.sensitivity:.4g}" if np.isfinite(self.sensitivity) else ""
+
     def __str__(self) -> str:
-        shares = f"{self.linear:.1f} % of the variance linearly, {self.total:.1f} % in all"
-        return f"sensitivity {self.sensitivity:.4g}, {shares}"
+        linear = [self.slope, f"{self.linear:.1f} % of the variance linearly"] if self.slope else []
+        return ", ".join([*linear, f"{self.total:.1f} % in all"])
 
 
 @final
@@ -179,26 +184,20 @@ class ToleranceAnalysis(Drawn):
         error = f", ± {self.rejects_error:.2g} ppm" if self.rejects_error > _WORTH_SAYING * self.rejects else ""
         if (low < self.lower and not self.rejects_low) or (high > self.upper and not self.rejects_high):
             error += ": none was drawn, though the worst case is beyond a limit; al.references.monte_carlo draws more"
+        squares = f"; root sum square ± {self.rss:.5g}" if np.isfinite(self.rss) else ""
         rows = [
             (self.output, f"nominal {self.nominal:.6g}, mean {self.mean:.6g}, 3σ {3 * self.std:.5g}"),
             ("shape", f"skewness {self.skewness:.3g}, kurtosis {self.kurtosis:.4g} (0 and 3 if normal)"),
             ("limits", f"{self.lower:g} to {self.upper:g}: Cp {self.cp:.3g}, Cpk {self.cpk:.3g}"),
             ("rejects", f"{self.rejects_low:.3g} ppm low, {self.rejects_high:.3g} ppm high{error}"),
-            ("worst case", f"{low:.6g} to {high:.6g}{_linear('; root sum square ±', self.rss)}"),
+            ("worst case", f"{low:.6g} to {high:.6g}{squares}"),
         ]
         largest = sorted(self.contributions.items(), key=lambda item: -item[1].share)
-        slope = ", sensitivity"
-        rows += [
-            (name, f"{one.share:.3g} % of the variance{one.aside}, zone {one.zone}{_linear(slope, one.sensitivity)}")
-            for name, one in largest
-        ]
+        for name, one in largest:
+            shares = f"{one.share:.3g} % of the variance{one.aside}, zone {one.zone}"
+            rows.append((name, f"{shares}, {one.slope}" if one.slope else shares))
         width = max(len(label) for label, _ in rows)
         return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
-
-
-def _linear(what: str, number: float) -> str:
-    """A number of the linear expansion in words; nothing where there is none."""
-    return f"{what} {number:.5g}" if np.isfinite(number) else ""
 
 
 def _capability(distance: float, spread: float) -> float:
@@ -238,7 +237,7 @@ def tolerance_analysis(
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
     inputs = Inputs("tolerance_analysis", function, model)
-    linear = linear_at_means("tolerance_analysis", inputs)
+    linear = linear_at_means(inputs)
     inputs.refuse_nonfinite(linear.mean)
     in_zones = with_distributions(model, lambda name, _: Uniform.bounds(*zones[name]))
     low, high = _beyond(expanded, Sampler(function, model, traced=True), lower, upper)

@@ -38,6 +38,7 @@ _NODES = 32
 class Inputs:
     """The uncertain inputs of `function(model)`, with decisions at their initial values.
 
+    - `verb`: who asks;
     - `distributions`: by name, at the initial decisions; `germs`: the distribution of each germ variable, by name;
     - `owned`: germ variables that belong to one input alone, which depends on no other, with that input's name.
     """
@@ -49,7 +50,7 @@ class Inputs:
                 "al.references.monte_carlo."
             )
         self._places = uncertain_places(verb, function, model)
-        self._verb, self._function = verb, function
+        self.verb, self._function = verb, function
         # A standard normal number equals its germ, so that values passed as the germ are the numbers themselves.
         self._in_units = with_distributions(model, lambda *_: Normal(0.0, 1.0))
         self.distributions = {name: distribution.initial() for name, distribution in self._places.distributions.items()}
@@ -72,7 +73,7 @@ class Inputs:
         if not is_finite(expanded):
             where = ", ".join(f"{name} ~ {distribution}" for name, distribution in self.distributions.items())
             raise SimulationError(
-                f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
+                f"{self.verb}: the function or its derivative is not finite at the means of {where}. It needs a "
                 "function that is smooth there: use al.references.monte_carlo."
             )
 
@@ -194,16 +195,16 @@ def linearise(function: Function, model: Pytree) -> Linearised:
     value or derivative at the means is not finite.
     """
     inputs = Inputs("linearise", function, model)
-    linear = linear_at_means("linearise", inputs)
+    linear = linear_at_means(inputs)
     inputs.refuse_nonfinite((linear.mean, linear.jacobian))
     return linear
 
 
-def linear_at_means(verb: str, inputs: Inputs) -> Linearised:
+def linear_at_means(inputs: Inputs) -> Linearised:
     """The first-order expansion at the means, whose derivatives need not be finite there."""
     means = _vector([distribution.mean() for distribution in inputs.distributions.values()])
     stds = _vector([distribution.std() for distribution in inputs.distributions.values()])
-    outputs = traceable(verb, inputs.outputs)
+    outputs = traceable(inputs.verb, inputs.outputs)
 
     def twice(means: Float[Array, " inputs"]) -> tuple[Pytree, Pytree]:
         values = outputs(means)

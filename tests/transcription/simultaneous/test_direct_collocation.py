@@ -103,7 +103,8 @@ class Pushed(al.System):
         return {"x": z.x, "v": z.v}
 
 
-@pytest.mark.parametrize("x_0", [0.0, pytest.param(al.Normal(0.0, 0.02), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("x_0", [0.0, al.Normal(0.0, 0.02)])
 def test_a_spread_from_a_certain_start_on_has_no_kink_there(x_0):
     """At rest all realisations are alike, so that the derivative of σ has no value, whatever is decided."""
     problem = al.Problem(
