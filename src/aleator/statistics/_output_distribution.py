@@ -312,15 +312,15 @@ def statistic_of(
     structures = own, others, by_lines_alone
 
     def found(coefficients: Array, numbers: list[Array], constants: list[Array]) -> Sloped:
-        return Sloped(*_sloped.bind(coefficients, *numbers, *constants, structures=structures))
+        return Sloped(*_sloped.bind(coefficients, *numbers, *constants, structures=structures, depth=0))
 
     @jax.custom_jvp
     def values(coefficients: Array, numbers: list[Array], constants: list[Array]) -> Array:
         return found(coefficients, numbers, constants).values
 
     def tangent(primals: Any, tangents: Any) -> tuple[Array, Array]:
-        """Values and slopes are found together: a tangent costs one sum."""
-        value, _, slopes, by_numbers = found(*primals)
+        """Values and slopes are found together: a tangent costs one sum. Slopes rest in further derivatives."""
+        value, _, slopes, by_numbers = found(*jax.lax.stop_gradient(primals))
         change = jnp.sum(slopes * tangents[0], axis=0)
         return value, change + sum(slope * by for slope, by in zip(by_numbers, tangents[1], strict=True))
 
@@ -333,35 +333,42 @@ _sloped = Primitive("statistic_of_tail")
 _sloped.multiple_results = True
 
 
-def _by_numpy(coefficients: Any, *rest: Any, structures: Any) -> tuple[np.ndarray, ...]:
+def _by_numpy(coefficients: Any, *rest: Any, structures: Any, depth: int) -> list[np.ndarray]:
     own, others, by_lines_alone = structures
-    numbers, constants = rest[: own.num_leaves], rest[own.num_leaves :]
-    kind = jax.tree.unflatten(own, [float(one) for one in numbers])
-    lines = jax.tree.unflatten(others, list(map(np.asarray, constants)))
-    return tuple(sloped(kind, np.asarray(coefficients), lines, by_lines_alone=by_lines_alone))
+    batch, inner = coefficients.shape[:depth], coefficients.shape[depth:]
+    numbers = [np.asarray(one).reshape(-1) for one in rest[: own.num_leaves]]
+    lines = jax.tree.unflatten(others, list(map(np.asarray, rest[own.num_leaves :])))
+    outputs = np.asarray(coefficients).reshape(-1, *inner)
+
+    def each(i: int) -> Sloped:
+        kind = jax.tree.unflatten(own, [float(one[i]) for one in numbers])
+        return sloped(kind, outputs[i], lines, by_lines_alone=by_lines_alone)
+
+    parts = zip(*in_order(each, range(len(outputs))), strict=True)
+    return [np.stack(one).reshape((*batch, *one[0].shape)) for one in parts]
 
 
-def _shapes(coefficients: Any, *_: Any, structures: Any) -> list[ShapedArray]:
-    terms, *shape = coefficients.shape
+def _shapes(coefficients: Any, *_: Any, structures: Any, depth: int) -> list[ShapedArray]:
+    batch, (terms, *shape) = coefficients.shape[:depth], coefficients.shape[depth:]
     counts = (), (), (terms,), (structures[0].num_leaves,)
-    return [ShapedArray((*count, *shape), coefficients.dtype) for count in counts]
+    return [ShapedArray((*batch, *count, *shape), coefficients.dtype) for count in counts]
 
 
-def _batched(operands: Sequence[Array], axes: Sequence[int | None], **params: Any) -> tuple[list[Array], list[int]]:
-    moved = [one if axis is None else jnp.moveaxis(one, axis, 0) for one, axis in zip(operands, axes, strict=True)]
-    is_moved = [axis is not None for axis in axes]
-
-    def each(own: list[Array]) -> list[Array]:
-        parts = iter(own)
-        every = (next(parts) if is_one else one for one, is_one in zip(moved, is_moved, strict=True))
-        return _sloped.bind(*every, **params)
-
-    results = jax.lax.map(each, [one for one, is_one in zip(moved, is_moved, strict=True) if is_one])
-    return results, [0] * len(results)
+def _batched(
+    operands: Sequence[Array], axes: Sequence[int | None], *, structures: Any, depth: int
+) -> tuple[list[Array], list[int]]:
+    """A batch of outputs and of the statistic's numbers, for lines of one basis."""
+    count = 1 + structures[0].num_leaves
+    (size,) = {one.shape[axis] for one, axis in zip(operands, axes, strict=True) if axis is not None}
+    moved = [
+        jnp.broadcast_to(one, (size, *one.shape)) if axis is None else jnp.moveaxis(one, axis, 0)
+        for one, axis in zip(operands[:count], axes[:count], strict=True)
+    ]
+    return _sloped.bind(*moved, *operands[count:], structures=structures, depth=depth + 1), [0] * 4
 
 
 def _lowered(context: Any, *operands: Any, **params: Any) -> Any:
-    def call(*arrays: Any) -> tuple[np.ndarray, ...]:
+    def call(*arrays: Any) -> list[np.ndarray]:
         return _by_numpy(*arrays, **params)
 
     shapes = context.avals_in, context.avals_out
