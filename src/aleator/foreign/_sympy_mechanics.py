@@ -16,13 +16,13 @@ from aleator.foreign._sympy_expressions import (
     contents_of,
     expressions_by_name,
     load_sympy,
-    names_of,
-    numbers_for,
+    name_of,
+    numbers_by_name,
     refuse_others,
     structure,
     symbols_given,
     time_symbol,
-    units_for,
+    units_given,
     written,
 )
 from aleator.mechanics import AbstractMechanical, Motion
@@ -60,11 +60,11 @@ class SymPyMechanical(AbstractMechanical):
     numbers: dict[str, Any]
     equations: Mechanics = eqx.field(static=True)
 
-    units = structure("equations", "units", dict)
-    coordinates = structure("equations", "coordinates")  # pyright: ignore[reportIncompatibleMethodOverride]
-    speeds = structure("equations", "speeds")  # pyright: ignore[reportIncompatibleMethodOverride]
-    actuators = structure("equations", "actuators")  # pyright: ignore[reportIncompatibleMethodOverride]
-    constraint_names = structure("equations", "constraints")
+    units = structure("units", dict)
+    coordinates = structure("coordinates")  # pyright: ignore[reportIncompatibleMethodOverride]
+    speeds = structure("speeds")  # pyright: ignore[reportIncompatibleMethodOverride]
+    actuators = structure("actuators")  # pyright: ignore[reportIncompatibleMethodOverride]
+    constraint_names = structure("constraints")
 
     @property
     @override
@@ -107,18 +107,6 @@ class SymPyMechanical(AbstractMechanical):
         return jnp.stack(entries).reshape(shape) if entries else jnp.zeros(shape)
 
 
-class _Equations(NamedTuple):
-    """Equations of motion `M v̇ = forcing` in SymPy's expressions, with `q̇ = kinematics` and `constraints = 0`."""
-
-    q: list[Any]
-    v: list[Any]
-    mass: Any
-    forcing: Any
-    kinematics: Any
-    constraints: Sequence[Any] = ()
-    multipliers: Sequence[Any] = ()
-
-
 def from_kane(
     kane: Any,
     numbers: Mapping[Any, Any],
@@ -143,18 +131,18 @@ def from_kane(
     Raises `ProblemError` for symbols without a number, for numbers that are not used, for dependent coordinates or
     speeds, for equations that contain the time, and for functions that JAX lacks; `MissingExtraError` without SymPy.
     """
-    sympy = load_sympy("from_kane")
-    mass, forcing = _formed("from_kane", kane, sympy.physics.mechanics.KanesMethod, "kanes_equations")
+    sympy, who = load_sympy("from_kane"), "from_kane"
+    mass, forcing = _formed(who, kane, sympy.physics.mechanics.KanesMethod, "kanes_equations")
     if len(kane._udep) or len(kane._qdep):
         raise ProblemError(
-            "from_kane: expected independent coordinates and speeds; received dependent ones: "
+            f"{who}: expected independent coordinates and speeds; received dependent ones: "
             f"{[*kane._qdep, *kane._udep]}. Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with "
             "mass_matrix_full and forcing_full."
         )
     rates = kane.kindiffdict()
     kinematics = sympy.Matrix([rates[coordinate.diff(time_symbol())] for coordinate in kane.q])
-    given = _Equations([*kane.q], [*kane.u], mass.xreplace(rates), forcing.xreplace(rates), kinematics)
-    return _mechanical("from_kane", given, numbers, outputs, units)
+    equations = [*kane.q], [*kane.u], mass.xreplace(rates), forcing.xreplace(rates), kinematics
+    return _mechanical(who, *equations, numbers=numbers, outputs=outputs, units=units)
 
 
 def from_lagrange(
@@ -174,19 +162,17 @@ def from_lagrange(
     and no gains are needed. SymPy's multipliers may stand in `outputs`; the standard output `constraint_1_multiplier`
     has the other sign (see `al.Lagrangian`). Nonholonomic constraints are refused.
     """
-    sympy = load_sympy("from_lagrange")
-    mass, forcing = _formed(
-        "from_lagrange", lagrange, sympy.physics.mechanics.LagrangesMethod, "form_lagranges_equations"
-    )
+    sympy, who = load_sympy("from_lagrange"), "from_lagrange"
+    mass, forcing = _formed(who, lagrange, sympy.physics.mechanics.LagrangesMethod, "form_lagranges_equations")
     constraints, q = [*lagrange._hol_coneqs], [*lagrange.q]
     if len(lagrange.coneqs) > len(constraints):
         raise ProblemError(
-            "from_lagrange: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use KanesMethod, "
-            "and from_sympy with its mass_matrix_full and forcing_full."
+            f"{who}: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use KanesMethod, and "
+            "from_sympy with its mass_matrix_full and forcing_full."
         )
     v = [coordinate.diff(time_symbol()) for coordinate in q]
-    given = _Equations(q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, [*lagrange.lam_vec])
-    return _mechanical("from_lagrange", given, numbers, outputs, units)
+    equations = q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, [*lagrange.lam_vec]
+    return _mechanical(who, *equations, numbers=numbers, outputs=outputs, units=units)
 
 
 def _formed(who: str, method: Any, kind: Any, former: str) -> tuple[Any, Any]:
@@ -199,62 +185,68 @@ def _formed(who: str, method: Any, kind: Any, former: str) -> tuple[Any, Any]:
         raise ProblemError(f"{who}: the equations are not formed yet; call {former}() first.") from error
 
 
-def _mechanical(who: str, given: _Equations, numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
-    sympy, time, q, v = load_sympy(who), time_symbol(), given.q, given.v
+def _mechanical(
+    who: str,
+    q: list[Any],
+    v: list[Any],
+    mass: Any,
+    forcing: Any,
+    kinematics: Any,
+    constraints: Sequence[Any] = (),
+    multipliers: Sequence[Any] = (),
+    *,
+    numbers: Any,
+    outputs: Any,
+    units: Any,
+) -> SymPyMechanical:
+    """The system with `M v̇ = forcing`, `q̇ = kinematics` and `constraints = 0`."""
+    sympy, time = load_sympy(who), time_symbol()
     numbers = symbols_given(f"{who}: numbers", numbers)
     formulas = expressions_by_name(f"{who}: outputs", {} if outputs is None else outputs)
-    moving = contents_of(who, [*given.mass, *given.forcing, *given.kinematics, *given.constraints])
-    of_outputs = contents_of(f"{who}: outputs", formulas.values())
+    moving = contents_of(who, [*mass, *forcing, *kinematics, *constraints])
     free = [symbol for symbol in moving.functions if symbol not in (*q, *v)]
     torques = [symbol for symbol in free if symbol not in numbers]
-    parameters = [symbol for symbol in free if symbol in numbers]
-    parameters += sorted({*moving.symbols, *of_outputs.symbols} - {time}, key=str)
+    symbols = {*moving.symbols, *contents_of(f"{who}: outputs", formulas.values()).symbols} - {time}
+    parameters = [*(symbol for symbol in free if symbol in numbers), *sorted(symbols, key=str)]
+    given = numbers_by_name(who, (*q, *v, *torques), parameters, numbers)
     posture = [*q, *parameters]
+    forms, drift = kinematics.jacobian(v), kinematics.xreplace(dict.fromkeys(v, 0))
+    if any(not rate.equals(0) for rate in drift):
+        raise refusal(who, "rates of coordinates that are linear in the speeds, without further terms", [*kinematics])
     refuse_others(
         f"{who}: the forces",
-        given.forcing,
+        forcing,
         [*posture, *v, *torques],
         "Make a motion that is prescribed a coordinate, and prescribe it by al.HybridDynamics; put a function of time "
         "(dynamicsymbols) in the place of the time itself, and give it in numbers as a signal.",
     )
-    effect = given.forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
-    bias = -given.forcing.xreplace(dict.fromkeys(torques, sympy.S.Zero))
-    forms = given.kinematics.jacobian(v)
-    if any(not rate.equals(0) for rate in given.kinematics.xreplace(dict.fromkeys(v, 0))):
-        raise ProblemError(
-            f"{who}: expected rates of coordinates that are linear in the speeds, without further terms; received "
-            f"{list(given.kinematics)}. Choose other speeds."
-        )
-    linear = (
-        "Actuators and speeds enter linearly, by factors that depend on the coordinates alone; give others in numbers, "
-        "as a number or a signal."
-    )
+    bias = -forcing.xreplace(dict.fromkeys(torques, sympy.S.Zero))
+    effect = forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
 
     def at_posture(what: str, expressions: Iterable[Any]) -> Program:
+        linear = (
+            "Actuators and speeds enter linearly, by factors that depend on the coordinates alone; give others in "
+            "numbers, as a number or a signal."
+        )
         return written(f"{who}: {what}", expressions, posture, linear)
 
-    names, parameter_names = names_of(who, (*q, *v, *torques), parameters)
-    coordinates, speeds, actuators = names[: len(q)], names[len(q) : len(q) + len(v)], names[len(q) + len(v) :]
     # Of Lagrange's method the rates of speeds are the accelerations too.
     dots = [*(speed.diff(time) for speed in v), *(q_i.diff(time) for q_i in q), *(q_i.diff(time, 2) for q_i in q)]
-    known = [*posture, *v, *torques, *dots, *given.multipliers]
     meaning = "Expected coordinates, speeds, their rates, actuators and what is given in numbers."
-    standard = [f"{name}{end}" for name in coordinates for end in ("", "_rate", "_acceleration")]
-    standard += [f"{name}{end}" for name in (*speeds, *actuators) for end in ("", "_rate")]
     return SymPyMechanical(
-        numbers_for(who, parameters, numbers),
+        given,
         Mechanics(
-            coordinates=coordinates,
-            speeds=speeds,
-            actuators=actuators,
-            parameters=parameter_names,
-            constraints=tuple(f"constraint_{i}" for i in range(1, len(given.constraints) + 1)),
-            mass=at_posture("the mass matrix", given.mass),
+            coordinates=tuple(map(name_of, q)),
+            speeds=tuple(map(name_of, v)),
+            actuators=tuple(map(name_of, torques)),
+            parameters=tuple(given),
+            constraints=tuple(f"constraint_{i}" for i in range(1, len(constraints) + 1)),
+            mass=at_posture("the mass matrix", mass),
             bias=written(who, bias, [*posture, *v]),
             torques=at_posture("the effect of an actuator", effect),
             rates=None if forms == sympy.eye(len(q)) else at_posture("the rates of coordinates", forms),
-            closed=at_posture("constraints", given.constraints),
-            outputs=written(f"{who}: outputs", formulas, known, meaning),
-            units=units_for(who, units, [*formulas, *standard]),
+            closed=at_posture("constraints", constraints),
+            outputs=written(f"{who}: outputs", formulas, [*posture, *v, *torques, *dots, *multipliers], meaning),
+            units=tuple(units_given(who, units).items()),
         ),
     )
