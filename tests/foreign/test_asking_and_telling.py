@@ -143,7 +143,7 @@ def test_missing_rows_leave_the_least_squares_that_a_box_would_have(tell, asked)
             raise ValueError("lost")
         return boxes.smooth(at)
 
-    with pytest.raises(al.SimulationError, match=r"2 of 32 samples .* allows 0: first sample 1 \(x=.*no response"):
+    with pytest.raises(al.SimulationError, match=r"'the model' failed at sample 1 \(x=.*no response"):
         tell(emptied)
     with pytest.warns(al.SimulationWarning, match="2 of 32 samples .* first sample 1 .* it has no response"):
         told = tell(emptied, drop=0.1)
@@ -156,7 +156,7 @@ def test_missing_rows_leave_the_least_squares_that_a_box_would_have(tell, asked)
 def test_a_response_that_is_not_finite_is_missing(asked):
     responses = respond(asked.points)
     responses["v"][4, 1] = np.nan
-    with pytest.raises(al.SimulationError, match=r"first sample 5 \(x=.*output 'v' is nan"):
+    with pytest.raises(al.SimulationError, match=r"failed at sample 5 \(x=.*output 'v' is nan"):
         asked.tell(responses)
     with pytest.warns(al.SimulationWarning, match="output 'v' is nan"):
         assert len(asked.tell(responses, drop=0.05).collocation.points) == 29

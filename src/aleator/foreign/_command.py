@@ -12,6 +12,7 @@ from pathlib import Path
 from pickle import PicklingError
 from typing import IO, Any, final
 
+import jax
 import numpy as np
 
 from aleator._core import border
@@ -19,12 +20,9 @@ from aleator._core.arrays import Pytree
 from aleator._core.border import json_of
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.executors import ended_with, endings, exit_told, in_group, last_lines, report
-from aleator._core.leaves import is_traced
-from aleator.ensemble import name_of
 
 # A placeholder in an argument, such as {mass}.
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)\}")
-
 # As much of an output that is no JSON as a message repeats.
 _SHOWN = 160
 
@@ -47,8 +45,7 @@ class Command:
     itself, such as a licence server, live on.
 
     Raises `ProblemError` if the program is not found, or if an input reaches it nowhere; a call raises
-    `SimulationError` if a run exceeds its time, ends with another exit code than 0, writes no JSON of numbers, or
-    leaves open which of two lines is its output.
+    `SimulationError` if a run exceeds its time, ends with another exit code than 0, or writes no JSON of numbers.
     """
 
     arguments: Sequence[str]
@@ -65,19 +62,15 @@ class Command:
                 raise border.refusal(f"Command: {what}", "the name of a file, without a folder", name)
         if self.time_limit is not None:
             object.__setattr__(self, "time_limit", border.positive("Command: time_limit", self.time_limit))
-        own = {self.input_file, self.output_file}
-        absolute = tuple(name if name in own else _absolute(name) for name in arguments)
-        object.__setattr__(self, "arguments", absolute)
+        own = {"", self.input_file, self.output_file}
+        absolute = [str(Path(one).absolute()) if one not in own and Path(one).is_file() else one for one in arguments]
+        object.__setattr__(self, "arguments", tuple(absolute))
 
     @property
     def __name__(self) -> str:
         """The program, and the first file among its arguments, for messages."""
         files = [Path(argument).name for argument in self.arguments[1:] if Path(argument).is_file()]
         return " ".join([Path(self.arguments[0]).name, *files[:1]])
-
-    @property
-    def _placeholders(self) -> set[str]:
-        return {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
 
     def digest(self, version: str) -> str:
         """A digest of the command, of the contents of the files that it names, and of a version."""
@@ -88,30 +81,37 @@ class Command:
 
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The outputs of one run."""
-        refuse_traced(self, inputs)
-        names = {str(name) for name in border.one_of("Command: its model", inputs, Mapping, "{'mass': 1.0}")}
-        if unknown := self._placeholders - names:
+        border.one_of("Command: its model", inputs, Mapping, "{'mass': 1.0}")
+        inputs = jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else np.asarray(leaf).tolist(), dict(inputs))
+        asked = {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
+        if unknown := asked - set(inputs):
             raise ProblemError(f"Command: {self.__name__} asks for {sorted(unknown)}; expected some of {list(inputs)}.")
-        if self.input_file is None and (unused := names - self._placeholders):
+        if self.input_file is None and (unused := set(inputs) - asked):
             raise ProblemError(
                 f"Command: {sorted(unused)} reach {self.__name__} nowhere. Write them in braces in the place of an "
                 "argument, give an input_file, or drop them."
             )
+
+        def text(match: re.Match[str]) -> str:
+            if isinstance(value := inputs[match[1]], list | dict):
+                raise border.refusal(f"Command: {match[0]}", "one number; arrays and dicts need an input_file", value)
+            return str(value)
+
         # What a process that was ended still holds open must not hide why it was.
         own_folder = tempfile.TemporaryDirectory(prefix="aleator-", ignore_cleanup_errors=True)
         with own_folder as name, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
             folder = Path(name)
             if self.input_file is not None:
-                (folder / self.input_file).write_text(json.dumps(inputs, default=_plain), encoding="utf-8")
-            self._run([_filled(argument, inputs) for argument in self.arguments], folder, output, errors)
+                (folder / self.input_file).write_text(json.dumps(inputs), encoding="utf-8")
+            self._run([_PLACEHOLDER.sub(text, argument) for argument in self.arguments], folder, output, errors)
             if self.output_file is None:
                 output.seek(0)
                 return _numbers(output.read().decode(errors="replace"), "its standard output")
             try:
-                text = (folder / self.output_file).read_text(encoding="utf-8", errors="replace")
+                written = (folder / self.output_file).read_text(encoding="utf-8", errors="replace")
             except OSError as error:
                 raise SimulationError(f"it ended without writing {self.output_file}") from error
-            return _numbers(text, self.output_file)
+            return _numbers(written, self.output_file)
 
     def _run(self, arguments: list[str], folder: Path, output: IO[bytes], errors: IO[bytes]) -> None:
         before = endings()
@@ -131,28 +131,6 @@ class Command:
             lines = last_lines(errors)
             words = f"ends with: {lines}" if lines else "is empty"
             raise SimulationError(f"it ended by {exit_told(code)}; its stderr {words}")
-
-
-def _absolute(argument: str) -> str:
-    """The path of a file from the root; any other argument as it is."""
-    return str(Path(argument).absolute()) if argument and Path(argument).is_file() else argument
-
-
-def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
-    """An argument with inputs in it: numbers with all their digits, and texts."""
-
-    def text(match: re.Match[str]) -> str:
-        value = inputs[match[1]]
-        if isinstance(value, Mapping) or np.ndim(value):
-            raise border.refusal(f"Command: {match[0]}", "one number; arrays and dicts need an input_file", value)
-        return str(value if isinstance(value, bool | int | float | str) else _plain(value))
-
-    return _PLACEHOLDER.sub(text, argument)
-
-
-def _plain(value: Any) -> Any:
-    """Numbers of NumPy, for which JSON has no form."""
-    return np.asarray(value).tolist()
 
 
 def _numbers(text: str, source: str) -> Pytree:
@@ -185,9 +163,7 @@ def _rank(line: str) -> int:
     """How much a line looks like an output: an object, which may go on in others or be printed as Python does, most; a
     list, which `[info] ...` is not, less; a number least.
     """
-    if line.startswith("{"):
-        return 2
-    return int(line == "[" or isinstance(_parsed(line), list))
+    return 2 if line.startswith("{") else int(line == "[" or isinstance(_parsed(line), list))
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:
@@ -232,7 +208,6 @@ class Isolated:
 
     def __call__(self, realised: Pytree) -> Pytree:
         """The outputs of the function at one realisation."""
-        refuse_traced(self, realised)
         before, context = endings(), multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=report, args=(sender, self.function, realised))
@@ -258,14 +233,7 @@ class Isolated:
         return returned
 
 
-def refuse_traced(function: Callable[[Pytree], Pytree], realised: Pytree) -> None:
-    """Raise `ProblemError` for a function that leaves this process if JAX traces it."""
-    if is_traced(realised):
-        kind = type(function).__name__
-        raise ProblemError(f"{name_of(function)} cannot be traced by JAX: wrap it, al.foreign.BlackBox({kind}(...)).")
-
-
-def refuse_unsendable(who: str, error: BaseException | None) -> None:
+def refuse_unsendable(who: str, error: BaseException) -> None:
     """Raise `ProblemError` if an error says that something cannot be sent to a process.
 
     Before Python 3.14 the types of these errors are no help.
