@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from aleator._core.border import one_of, positive, real, refusal
+from aleator._core.border import one_of, positive, real
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
 from aleator.dynamics import Grid, check_span
 from aleator.foreign._fmu._fmu import Fmu
@@ -65,20 +65,28 @@ class FmuSimulation:
         self._grid = one_of("FmuSimulation: grid", grid, Grid, "al.Grid(2.0, 200)")
         real("FmuSimulation: the final time", grid.t_final, "a known one")
         self.__name__, self._who = fmu.name, f"FMU '{fmu.name}'"  # in messages
-        self._outputs = fmu.variables.readable(outputs)
+        self._outputs = fmu.readable(outputs)
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._signals = dict(one_of(f"{self._who}: inputs", inputs or {}, Mapping, "{'force': al.Tabulated(t, f)}"))
-        fmu.variables.inputs(self._signals)
-        self._inputs = {name: self._sampled(name, signal) for name, signal in self._signals.items()}
-
-    @property
-    def times(self) -> Float[np.ndarray, " instants"]:
-        """The instants, s."""
-        return np.asarray(self._grid.times)
+        fmu.refuse_other_inputs(self._signals, fmu.inputs)
+        for name, signal in self._signals.items():
+            who = f"{self._who}, input '{name}',"
+            one_of(who, signal, AbstractSignal, "al.Tabulated(times, values), or a constant among the parameters")
+            check_span(who, signal.over(grid.t_start, grid.t_final), grid)
+        self._times = np.asarray(grid.times)
+        self._inputs = {
+            name: np.asarray(signal.sampled(grid.fractions, grid.t_start, grid.t_final))
+            for name, signal in self._signals.items()
+        }
 
     def __call__(self, at: Mapping[str, Any]) -> dict[str, Any]:
         """The outputs by name, each of shape (instants,), for numbers by the names of parameters."""
-        known, traced = self._sorted(at)
+        one_of(f"{self._who}: its numbers", at, Mapping, f"{{'{next(iter(self._fmu.parameters), 'x')}': 1.0}}")
+        self._fmu.checked(at)
+        if varied := [name for name in at if name in self._signals]:
+            raise ProblemError(f"{self._who}: the input '{varied[0]}' is a signal; leave it out of the parameters.")
+        traced = {name: value for name, value in at.items() if isinstance(value, Tracer)}
+        known = {name: real(f"{self._who}: '{name}'", value) for name, value in at.items() if name not in traced}
         if not traced:
             outputs = self._run(known, self._tolerance)
         else:
@@ -91,21 +99,17 @@ class FmuSimulation:
         settings = {"outputs": self._outputs, "inputs": self._signals, "tolerance": self._tolerance}
         return partial(FmuSimulation, **settings), (self._fmu, self._grid)
 
-    def __str__(self) -> str:
-        span = f"from {self.times[0]:g} to {self.times[-1]:g} s in {len(self.times) - 1} steps"
-        return f"{self._who}, {self._fmu.kind}, {span}: {', '.join(self._outputs)}"
-
     def _run(self, start: Mapping[str, float], tolerance: float) -> Float[np.ndarray, "instants outputs"]:
         where = ", with " * bool(start) + ", ".join(f"{name}={value:.6g}" for name, value in start.items())
         try:
-            return self._fmu.door.ask("run", start, self._outputs, self.times, self._inputs, tolerance, where=where)
+            return self._fmu.door.ask("run", start, self._outputs, self._times, self._inputs, tolerance, where=where)
         except SimulationError as error:
             text = str(error).removesuffix(".")
             raise SimulationError(text + ("" if where in text else where) + ".") from error
 
     def _differentiable(self, known: Mapping[str, float], names: list[str]) -> Any:
         """The outputs as a function of JAX of a time that is left aside and of the numbers of some names."""
-        shape = len(self.times), len(self._outputs)
+        shape = len(self._times), len(self._outputs)
 
         def runs(tolerance: float, points: np.ndarray) -> np.ndarray:
             def run(point: np.ndarray) -> np.ndarray:
@@ -130,36 +134,9 @@ class FmuSimulation:
                     stacklevel=2,
                 )
 
-        steps = relative_steps(_STEP, self._fmu.variables.nominals(names))
+        steps = relative_steps(_STEP, self._fmu.sizes(names))
         finer = partial(runs, max(_FINER * self._tolerance, _FINEST))
         return differentiable(partial(runs, self._tolerance), shape, steps, warn_of_noise, exacter=finer)
-
-    def _sorted(self, at: Any) -> tuple[dict[str, float], dict[str, Array]]:
-        """The numbers that are known, and those that are traced."""
-        one_of(f"{self._who}: its numbers", at, Mapping, f"{{'{next(iter(self._fmu.parameters), 'x')}': 1.0}}")
-        known, traced = {}, {}
-        for name in self._fmu.variables.settable(at):
-            value = at[name]
-            if name in self._signals:
-                raise ProblemError(f"{self._who}: the input '{name}' is a signal; leave it out of the parameters.")
-            if isinstance(value, Tracer) and not value.shape:
-                traced[name] = value
-            else:
-                known[name] = real(f"{self._who}: '{name}'", value)
-        return known, traced
-
-    def _sampled(self, name: str, signal: Any) -> Float[np.ndarray, " instants"]:
-        """A signal at the instants. Raises `ProblemError` if it does not fit."""
-        who, grid = f"{self._who}, input '{name}',", self._grid
-        one_of(who, signal, AbstractSignal, "al.Tabulated(times, values), or a constant among the parameters")
-        check_span(who, signal.over(grid.t_start, grid.t_final), grid)
-        try:
-            values = np.asarray(signal.sampled(grid.fractions, grid.t_start, grid.t_final))
-        except (TypeError, jax.errors.JAXTypeError) as error:
-            raise refusal(who, "a signal of known numbers", signal) from error
-        if values.shape != (len(grid.fractions),):
-            raise refusal(who, "one number at each instant", values)
-        return values
 
 
 # --- Functions of NumPy as functions of JAX ---------------------------------------------------------------------------
