@@ -18,7 +18,7 @@ from aleator._core.errors import AleatorError, ProblemError, SimulationError, Si
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest, own_code
 from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
-from aleator.foreign._command import Command, Isolated, refuse_unsendable
+from aleator.foreign._command import Command, Isolated
 from aleator.foreign._journal import Journal
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
@@ -188,7 +188,6 @@ def _reason(error: BaseException) -> str:
     """Why a sample failed, in one line. Raises errors that have nothing to do with this sample."""
     if isinstance(error, BrokenExecutor | CancelledError):
         raise _broken(error) from error
-    refuse_unsendable("BlackBox", error)
     if isinstance(error, SystemExit):
         # A model that ends its own process has failed; it does not end this one.
         return f"it ended itself by sys.exit({'' if error.code is None else error.code!r})"

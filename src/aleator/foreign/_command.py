@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from pickle import PicklingError
 from typing import IO, Any, final
 
 import jax
@@ -84,26 +83,19 @@ class Command:
         border.one_of("Command: its model", inputs, Mapping, "{'mass': 1.0}")
         inputs = jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else np.asarray(leaf).tolist(), dict(inputs))
         asked = {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
-        if unknown := asked - set(inputs):
-            raise ProblemError(f"Command: {self.__name__} asks for {sorted(unknown)}; expected some of {list(inputs)}.")
         if self.input_file is None and (unused := set(inputs) - asked):
             raise ProblemError(
                 f"Command: {sorted(unused)} reach {self.__name__} nowhere. Write them in braces in the place of an "
                 "argument, give an input_file, or drop them."
             )
-
-        def text(match: re.Match[str]) -> str:
-            if isinstance(value := inputs[match[1]], list | dict):
-                raise border.refusal(f"Command: {match[0]}", "one number; arrays and dicts need an input_file", value)
-            return str(value)
-
         # What a process that was ended still holds open must not hide why it was.
         own_folder = tempfile.TemporaryDirectory(prefix="aleator-", ignore_cleanup_errors=True)
         with own_folder as name, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
             folder = Path(name)
             if self.input_file is not None:
                 (folder / self.input_file).write_text(json.dumps(inputs), encoding="utf-8")
-            self._run([_PLACEHOLDER.sub(text, argument) for argument in self.arguments], folder, output, errors)
+            arguments = [_PLACEHOLDER.sub(lambda name: str(inputs[name[1]]), one) for one in self.arguments]
+            self._run(arguments, folder, output, errors)
             if self.output_file is None:
                 output.seek(0)
                 return _numbers(output.read().decode(errors="replace"), "its standard output")
@@ -188,8 +180,7 @@ class Isolated:
       definition belongs under `if __name__ == "__main__":`;
     - `time_limit`: seconds from the start of the process, after which it is ended, with all processes that it started.
 
-    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises, and
-    `ProblemError` if the function cannot be sent to a process.
+    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises.
     """
 
     function: Callable[[Any], Pytree]
@@ -211,11 +202,7 @@ class Isolated:
         before, context = endings(), multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=report, args=(sender, self.function, realised))
-        try:
-            process.start()
-        except Exception as error:
-            refuse_unsendable("Isolated", error)
-            raise
+        process.start()
         sender.close()
         try:
             with receiver, ended_with(process.pid or 0, lambda: not process.is_alive(), before):
@@ -231,17 +218,3 @@ class Isolated:
         if raised is not None:
             raise SimulationError(f"it raised {raised}")
         return returned
-
-
-def refuse_unsendable(who: str, error: BaseException) -> None:
-    """Raise `ProblemError` if an error says that something cannot be sent to a process.
-
-    Before Python 3.14 the types of these errors are no help.
-    """
-    words = str(error).splitlines()[0].rstrip(".") if str(error) else ""
-    is_named = "pickle" in words.lower() or "local object" in words.lower()
-    if isinstance(error, PicklingError) or (isinstance(error, AttributeError | TypeError) and is_named):
-        raise ProblemError(
-            f"{who}: expected a function and results that can be sent to another process, such as a function at the "
-            f"top level of a module; received: {words}."
-        ) from error

@@ -9,7 +9,7 @@ import tempfile
 import threading
 import weakref
 from multiprocessing.spawn import get_executable
-from typing import IO, Any, NamedTuple, final
+from typing import IO, Any, NamedTuple, cast, final
 
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group, last_lines
@@ -100,7 +100,7 @@ class OwnProcess:
             timer.cancel()
             if answer is None:
                 self._end()
-        returned, raised, is_broken = answer
+        returned, raised, is_broken = cast("tuple[Any, Any, bool]", answer)
         if is_broken or (raised is not None and question is self._opening):
             self._end()
         if raised is not None:
