@@ -103,12 +103,6 @@ class BlackBox(AbstractBox):
         if isinstance(self._inner, Command) or (code != self._code and not self._version):
             self._code, journal.box = code, self._identity()
         keys = [journal.key(realisation) for realisation in realisations]
-        if others := journal.of_others(keys):
-            warn_outside(
-                f"The journal {journal.path} has {others} of these samples by another box, or by this one before its "
-                "code, command or version changed: they are not used, and run again.",
-                SimulationWarning,
-            )
         samples = Samples(name_of(self), realisations, 0.0 if whole else self._drop)
         try:
             self._run(samples, keys)

@@ -7,6 +7,7 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, final
@@ -36,8 +37,7 @@ class Command:
     - `input_file`: the name of a file in that folder, into which all inputs are written as a JSON object;
     - `output_file`: the name of the JSON file that the program writes there; without one, its standard output is read.
       Where all of it is no JSON, its last line is. Outputs are a number, a list of numbers (of lists, ...), or an
-      object of these by name. A number in the last line is refused after a list or an object, and a list after an
-      object, since either may be meant;
+      object of these by name;
     - `time_limit`: seconds after which a run is ended, with all processes that it started.
 
     Each run has a temporary folder, which is deleted after it. Processes that a program leaves behind when it ends by
@@ -126,36 +126,13 @@ class Command:
 
 
 def _numbers(text: str, source: str) -> Pytree:
-    """JSON as arrays of numbers. Raises `SimulationError` for anything else, and where either of two may be meant."""
-    *before, last = [line.strip() for line in text.splitlines() if line.strip()] or [""]
-    parsed = _parsed(text)
-    if parsed is None:
-        parsed = _parsed(last)
-        if parsed is None:
-            received = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
-            raise SimulationError(f"expected JSON in {source}; {received}")
-        if rivals := [line for line in before if _rank(line) > _rank(last)]:
-            raise SimulationError(
-                f"expected one output in {source}; received the last line {last[-_SHOWN:]!r} after "
-                f"{rivals[-1][:_SHOWN]!r}, and either may be meant. Let the last line be an object, such as "
-                '{"y": 1.5}'
-            )
-    return _arrays(parsed, "the output")
-
-
-def _parsed(text: str) -> Any:
-    """What JSON says; None for anything else."""
-    try:
-        return json_of(text)
-    except ValueError:
-        return None
-
-
-def _rank(line: str) -> int:
-    """How much a line looks like an output: an object, which may go on in others or be printed as Python does, most; a
-    list, which `[info] ...` is not, less; a number least.
-    """
-    return 2 if line.startswith("{") else int(line == "[" or isinstance(_parsed(line), list))
+    """All of a text, or its last line, as arrays of numbers. Raises `SimulationError` if neither is JSON of these."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    for one in (text, *lines[-1:]):
+        with suppress(ValueError):
+            return _arrays(json_of(one), "the output")
+    received = f"received {lines[-1][-_SHOWN:]!r}" if lines else "received nothing"
+    raise SimulationError(f"expected JSON in {source}; {received}")
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:

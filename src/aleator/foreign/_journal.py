@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -56,11 +55,6 @@ class Journal:
     def find(self, key: str) -> Pytree | None:
         """The outputs of a finished sample; None if it is not known."""
         return self._known.get((self.box, key))
-
-    def of_others(self, keys: Sequence[str]) -> int:
-        """How many samples the file has by other boxes only, or by this one as it was before a change."""
-        known = {key for _, key in self._known}
-        return 0 if self.path is None else sum(key in known and self.find(key) is None for key in keys)
 
     def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
         """Keep a finished sample, unless it is kept already."""

@@ -2,7 +2,6 @@
 
 import functools
 import hashlib
-import re
 import shutil
 import tempfile
 import weakref
@@ -19,8 +18,8 @@ from aleator._core.errors import ProblemError, optional
 from aleator.foreign._fmu._doors import OwnProcess
 from aleator.foreign._fmu._library import Library
 
-# What users call the interfaces, and FMI and its tools do. The first one offered is the default.
-_KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
+# What users call the interfaces, and FMPy does. The first one offered is the default.
+_KINDS = {"model exchange": "modelExchange", "co-simulation": "coSimulation"}
 _REAL = ("Real", "Float64")  # in FMI 2 and 3
 # Types of FMI that NumPy calls otherwise. A number of 32 bits need not be exact.
 _IN_NUMPY = {"Real": "float64", "Float32": "float64", "Integer": "int32", "Enumeration": "int32", "Boolean": "bool"}
@@ -34,7 +33,7 @@ class Fmu:
 
     - `path`: the file;
     - `kind`: "model exchange" (the FMU gives the rates of its states, which are integrated here) or "co-simulation" (it
-      steps by itself), also spelt "ModelExchange" or "CS"; by default the first of the two that it offers;
+      steps by itself); by default the first of the two that it offers;
     - `settings`: values of parameters of any type (numbers, whole numbers, truth values, texts), for all runs;
     - `own_process`: whether the compiled code of the FMU runs in a process of its own, which starts once, and again
       after a crash. Without one, an FMU that crashes or hangs does so with this process;
@@ -64,7 +63,10 @@ class Fmu:
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         # Two files are two models, whatever they are called.
         self.name, (description, self._digest) = path.stem, _unpacked(path, folder)
-        self.kind = kind_of(self.name, description, kind)
+        offered = [one for one, theirs in _KINDS.items() if getattr(description, theirs) is not None]
+        if kind is not None and kind not in offered:
+            raise refusal(f"FMU '{self.name}': kind", f"one of {offered}", kind)
+        self.kind = kind or offered[0]
         self.is_exchange = self.kind == "model exchange"
         self._version, self.indicators = description.fmiVersion, int(description.numberOfEventIndicators)
         self.variables: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
@@ -169,17 +171,6 @@ def _unpacked(path: Path, folder: Path) -> tuple[Any, str]:
             f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
         )
     return description, digest
-
-
-def kind_of(name: str, description: Any, kind: Any) -> str:
-    """How an FMU is run: as it is asked for, or the first of model exchange and co-simulation that it offers."""
-    offered = {words: names for words, names in _KINDS.items() if getattr(description, names[0]) is not None}
-    plain = re.sub(r"[\s_-]", "", f"{kind}").lower()
-    for words, names in offered.items():
-        if kind is None or plain in map(str.lower, names):
-            return words
-    hint = meant(f"{kind}", offered)
-    raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.{hint}")
 
 
 def _is_number(variable: Any) -> bool:

@@ -6,7 +6,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, closing
 from itertools import pairwise
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,11 @@ _KEPT = 256
 _TOLERANCE = 1e-10
 # How finely the time of an event is determined, as a part of the step in which it happens.
 _FINE = 1e-13
+
+Names: TypeAlias = tuple[Sequence[str], Sequence[str], Sequence[str]]
+"""Parameters, inputs and outputs of equations."""
+Found: TypeAlias = tuple[Float[np.ndarray, "points ..."], str]
+"""Values at some points, NaN where the FMU fails, and what its first failure was."""
 
 
 @final
@@ -104,17 +109,9 @@ class Library:
                 "is_timed": bool(np.isfinite(instance.next_event)),
             }
 
-    def rates(
-        self,
-        parameters: Sequence[str],
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        points: Float[np.ndarray, "points m"],
-    ) -> tuple[Float[np.ndarray, "points values"], str]:
-        """Rates of the states, then outputs, at points (time, states, inputs, parameters); NaN where the FMU fails.
-
-        Also returns what the first failure was.
-        """
+    def rates(self, names: Names, points: Float[np.ndarray, "points m"]) -> Found:
+        """Rates of the states, then outputs, at points (time, states, inputs, parameters)."""
+        parameters, inputs, outputs = names
         driven, read = self._references(inputs), self._references(outputs)
         n = 1 + self.states
         r = n + len(driven)
@@ -127,19 +124,12 @@ class Library:
 
         return each(values, points, (self.states + len(read),))
 
-    def initial(
-        self,
-        parameters: Sequence[str],
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        points: Float[np.ndarray, "points m"],
-    ) -> tuple[Float[np.ndarray, "points n"], str]:
-        """The initial states at points (time, inputs, parameters), of which the time is left aside; as `rates`."""
-        del outputs
-        names = *inputs, *parameters
+    def initial(self, names: Names, points: Float[np.ndarray, "points m"]) -> Found:
+        """The initial states at points (time, inputs, parameters), of which the time is left aside."""
+        parameters, inputs, _ = names
 
         def state(point: np.ndarray) -> np.ndarray:
-            with self._started(dict(zip(names, point[1:].tolist(), strict=True))) as instance:
+            with self._started(dict(zip((*inputs, *parameters), point[1:].tolist(), strict=True))) as instance:
                 return instance.vector("ContinuousStates")
 
         return each(state, points, (self.states,))
@@ -166,8 +156,8 @@ class Library:
 
 def each(
     function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], shape: tuple[int, ...]
-) -> tuple[Float[np.ndarray, "points ..."], str]:
-    """Values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
+) -> Found:
+    """Values of a function at each point that is finite."""
     values, reason = np.full((len(points), *shape), np.nan), ""
     for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
         try:

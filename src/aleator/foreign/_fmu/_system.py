@@ -127,6 +127,7 @@ class _Equations:
 
     def __init__(self, fmu: Fmu, numbers: dict[str, float | None], inputs: list[str], outputs: list[str]):
         self.fmu, self.numbers, self.inputs, self.outputs = fmu, numbers, inputs, outputs
+        self._names = list(numbers), inputs, outputs
         self.first: dict[str, Any] = fmu.door.ask("first", numbers, inputs, where=" at its initial state")
         if (count := fmu.indicators) or self.first["is_timed"]:
             events = f"{count} event indicator{'s' * (count > 1)}" if count else "time events"
@@ -144,7 +145,7 @@ class _Equations:
         """The "rates" of the states, then outputs, of states, inputs and parameters; or the "initial" state, without
         states before these.
         """
-        sizes, names = self.fmu.sizes([*self.inputs, *self.numbers]), (list(self.numbers), self.inputs, self.outputs)
+        names, sizes = self._names, self.fmu.sizes([*self.inputs, *self.numbers])
         if method == "rates":
             sizes = np.concatenate([self.first["sizes"], sizes])
         size = len(self.fmu.states) + (len(self.outputs) if method == "rates" else 0)
@@ -152,7 +153,7 @@ class _Equations:
         def values(points: Float[np.ndarray, "points m"]) -> Float[np.ndarray, "points values"]:
             # NaN with a warning where the FMU fails: an exception would end a search that may well turn back.
             try:
-                found, reason = self.fmu.door.ask(method, *names, points, where=" at one of its equations' points")
+                found, reason = self.fmu.door.ask(method, names, points, where=" at one of its equations' points")
             except SimulationError as error:
                 found, reason = np.full((len(points), size), np.nan), str(error)
             if reason:
@@ -166,8 +167,7 @@ class _Equations:
         x, sizes, signs = self.first["states"], self.first["sizes"], np.cos(np.arange(len(self.first["states"])))
         rest = [self.first["inputs"], self.first["parameters"]]
         points = np.stack([np.concatenate([[0.0], x + away * signs * sizes, *rest]) for away in _AWAY])
-        chosen = list(self.numbers), self.inputs, self.outputs
-        values, reason = self.fmu.door.ask("rates", *chosen, points, where=" near its initial state")
+        values, reason = self.fmu.door.ask("rates", self._names, points, where=" near its initial state")
         if not np.isfinite(values[0]).all():
             raise SimulationError(reason or f"FMU '{self.fmu.name}': a rate or an output is not finite at its start.")
         differences = np.abs(values[2::2] - values[0])
