@@ -5,7 +5,7 @@ A program is plain text: equal models are equal, and can be pickled.
 
 import contextlib
 import functools
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -38,11 +38,6 @@ def time_symbol() -> Any:
     """The time of SymPy's mechanics."""
     mechanics: Any = load_sympy("from_sympy").physics.mechanics
     return mechanics.dynamicsymbols._t
-
-
-def structure(name: str, kind: Callable[[Any], Any] = tuple) -> Any:
-    """A property of a system of SymPy that its `equations` have under this name."""
-    return property(lambda system: kind(getattr(system.equations, name)))
 
 
 def units_given(who: str, units: Any) -> dict[str, str]:
@@ -192,16 +187,12 @@ def _refuse_contradiction(what: str, symbol: Any, low: float, high: float) -> No
 
 def refuse_unknown(what: str, symbols: Iterable[Any], known: Collection[Any]) -> None:
     """Raise `ProblemError` for the first of `symbols` that is not `known`."""
-    names = [name_of(other) for other in known]
     for symbol in symbols:
         if symbol not in known:
-            why = (
-                " is another symbol than the model's of this name: one is a function of time, or their assumptions "
-                "differ. Use the very same symbol."
-                if name_of(symbol) in names
-                else f" is not known.{meant(name_of(symbol), names)} Expected some of {names}."
-            )
-            raise ProblemError(f"{what}: '{symbol}'{why}")
+            names = [name_of(other) for other in known]
+            hint = " It is another symbol than the model's of this name, with other assumptions, or of other kind."
+            hint = hint if name_of(symbol) in names else meant(name_of(symbol), names)
+            raise ProblemError(f"{what}: '{symbol}' is not known; expected some of {names}.{hint}")
 
 
 # --- Programs ---------------------------------------------------------------------------------------------------------
@@ -209,12 +200,13 @@ def refuse_unknown(what: str, symbols: Iterable[Any], known: Collection[Any]) ->
 
 @dataclass(frozen=True)
 class Program:
-    """Some expressions as a function of numbers: `text` defines `value`, which takes a sequence of these.
+    """`count` expressions as a function of numbers: `text` defines `value`, which takes a sequence of these.
 
     - `names`: those of the expressions, if they have any.
     """
 
     text: str
+    count: int
     names: tuple[str, ...] = ()
 
     def __call__(self, values: Sequence[Any]) -> list[Array]:
@@ -243,7 +235,7 @@ def written(what: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str
         if ours.has(sympy.I, sympy.oo, sympy.zoo, sympy.nan):
             raise refusal(what, "finite real numbers", theirs)
     try:
-        program = Program(_text(plain), names)
+        program = Program(_text(plain), len(plain), names)
         jax.eval_shape(lambda number: program([number] * len(symbols)), 0.5)
     except Exception as error:  # whatever Python and JAX raise for what they do not know, or cannot trace
         unknown = getattr(error, "name", None) or shown(str(error))

@@ -1,7 +1,7 @@
 """Equations of motion of SymPy (`sympy.physics.mechanics`) as mechanical systems."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,6 @@ from aleator.foreign._sympy_expressions import (
     name_of,
     numbers_by_name,
     refuse_others,
-    structure,
     symbols_given,
     time_symbol,
     units_given,
@@ -28,79 +27,74 @@ from aleator.foreign._sympy_expressions import (
 from aleator.mechanics import AbstractMechanical, Motion
 
 
-class Mechanics(NamedTuple):
-    """A mechanical system without its numbers: the structure, which determines what is compiled.
-
-    Programs take the coordinates and the parameters; the other ones what is said besides.
-    - `bias`: the forces on the left-hand side at zero torque, of the speeds too; `torques`: the effect `B` of the
-      torques, row by row; `rates`: the map `H` from speeds to the coordinates' rates, row by row; none where these are
-      the same;
-    - `outputs`: of speeds, torques, rates of speeds, rates and accelerations of coordinates, and SymPy's multipliers.
-    """
-
-    coordinates: tuple[str, ...]
-    speeds: tuple[str, ...]
-    actuators: tuple[str, ...]
-    parameters: tuple[str, ...]
-    constraints: tuple[str, ...]
-    mass: Program
-    bias: Program
-    torques: Program
-    rates: Program | None
-    closed: Program
-    outputs: Program
-    units: tuple[tuple[str, str], ...]
-
-
 @final
 @transparent("numbers")
 class SymPyMechanical(AbstractMechanical):
-    """A mechanical system from SymPy; made by `al.foreign.from_kane` and `al.foreign.from_lagrange`."""
+    """A mechanical system from SymPy; made by `al.foreign.from_kane` and `al.foreign.from_lagrange`.
+
+    What is compiled is determined by its structure, which are all fields but `numbers`. Programs take the coordinates
+    and the parameters; the other ones what is said besides.
+    - `forces`: those on the left-hand side at zero torque, of the speeds too; `effect`: that of the torques, `B`, row
+      by row; `rates`: the map `H` from speeds to the coordinates' rates, row by row; none where these are the same;
+    - `formulas`: the outputs, of speeds, torques, rates of speeds, rates and accelerations of coordinates, and SymPy's
+      multipliers.
+    """
 
     numbers: dict[str, Any]
-    equations: Mechanics = eqx.field(static=True)
+    coordinates: tuple[str, ...] = eqx.field(static=True, default=())  # type: ignore[assignment]
+    speeds: tuple[str, ...] = eqx.field(static=True, default=())  # type: ignore[assignment]
+    actuators: tuple[str, ...] = eqx.field(static=True, default=())  # type: ignore[assignment]
+    parameters: tuple[str, ...] = eqx.field(static=True, kw_only=True)
+    closed: Program = eqx.field(static=True, kw_only=True)
+    mass: Program = eqx.field(static=True, kw_only=True)
+    forces: Program = eqx.field(static=True, kw_only=True)
+    effect: Program = eqx.field(static=True, kw_only=True)
+    rates: Program | None = eqx.field(static=True, kw_only=True)
+    formulas: Program = eqx.field(static=True, kw_only=True)
+    declared: tuple[tuple[str, str], ...] = eqx.field(static=True, kw_only=True)
 
-    units = structure("units", dict)
-    coordinates = structure("coordinates")  # pyright: ignore[reportIncompatibleMethodOverride]
-    speeds = structure("speeds")  # pyright: ignore[reportIncompatibleMethodOverride]
-    actuators = structure("actuators")  # pyright: ignore[reportIncompatibleMethodOverride]
-    constraint_names = structure("constraints")
+    units = property(lambda self: dict(self.declared))  # type: ignore[assignment]
+
+    @property
+    def constraint_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """`constraint_1` and so on."""
+        return tuple(f"constraint_{i}" for i in range(1, self.closed.count + 1))
 
     @property
     @override
     def moves_directly(self) -> bool:
-        return self.equations.rates is None
+        return self.rates is None
 
     @override
     def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
-        return self._matrix(self.equations.mass, q, len(self.speeds), len(self.speeds))
+        return self._matrix(self.mass, q, len(self.speeds), len(self.speeds))
 
     @override
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        return jnp.stack(self.equations.bias([*self._posture(q), *v]))
+        return jnp.stack(self.forces([*self._posture(q), *v]))
 
     @override
     def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
-        return self._matrix(self.equations.torques, q, len(self.speeds), len(self.actuators))
+        return self._matrix(self.effect, q, len(self.speeds), len(self.actuators))
 
     @override
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
-        if self.equations.rates is None:
+        if self.rates is None:
             return jnp.eye(len(self.coordinates))
-        return self._matrix(self.equations.rates, q, len(self.coordinates), len(self.speeds))
+        return self._matrix(self.rates, q, len(self.coordinates), len(self.speeds))
 
     @override
     def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-        return self._matrix(self.equations.closed, q, len(self.constraint_names))
+        return self._matrix(self.closed, q, self.closed.count)
 
     @override
     def outputs(self, motion: Motion) -> dict[str, Array]:
         at = motion
         values = [*self._posture(at.q), *at.v, *at.torque, *at.v_dot, *at.q_dot, *at.q_ddot, *-at.multipliers]
-        return self.equations.outputs.by_name(values)
+        return self.formulas.by_name(values)
 
     def _posture(self, q: Array) -> list[Any]:
-        return [*q, *(self.numbers[name] for name in self.equations.parameters)]
+        return [*q, *(self.numbers[name] for name in self.parameters)]
 
     def _matrix(self, program: Program, q: Array, *shape: int) -> Array:
         entries = program(self._posture(q))
@@ -235,18 +229,15 @@ def _mechanical(
     meaning = "Expected coordinates, speeds, their rates, actuators and what is given in numbers."
     return SymPyMechanical(
         given,
-        Mechanics(
-            coordinates=tuple(map(name_of, q)),
-            speeds=tuple(map(name_of, v)),
-            actuators=tuple(map(name_of, torques)),
-            parameters=tuple(given),
-            constraints=tuple(f"constraint_{i}" for i in range(1, len(constraints) + 1)),
-            mass=at_posture("the mass matrix", mass),
-            bias=written(who, bias, [*posture, *v]),
-            torques=at_posture("the effect of an actuator", effect),
-            rates=None if forms == sympy.eye(len(q)) else at_posture("the rates of coordinates", forms),
-            closed=at_posture("constraints", constraints),
-            outputs=written(f"{who}: outputs", formulas, [*posture, *v, *torques, *dots, *multipliers], meaning),
-            units=tuple(units_given(who, units).items()),
-        ),
+        coordinates=tuple(map(name_of, q)),
+        speeds=tuple(map(name_of, v)),
+        actuators=tuple(map(name_of, torques)),
+        parameters=tuple(given),
+        closed=at_posture("constraints", constraints),
+        mass=at_posture("the mass matrix", mass),
+        forces=written(who, bias, [*posture, *v]),
+        effect=at_posture("the effect of an actuator", effect),
+        rates=None if forms == sympy.eye(len(q)) else at_posture("the rates of coordinates", forms),
+        formulas=written(f"{who}: outputs", formulas, [*posture, *v, *torques, *dots, *multipliers], meaning),
+        declared=tuple(units_given(who, units).items()),
     )

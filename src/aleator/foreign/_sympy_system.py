@@ -1,7 +1,7 @@
 """Differential equations and formulas of SymPy as systems."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,7 +22,6 @@ from aleator.foreign._sympy_expressions import (
     number_of,
     numbers_by_name,
     refuse_unknown,
-    structure,
     symbols_given,
     time_symbol,
     units_given,
@@ -32,40 +31,33 @@ from aleator.foreign._sympy_expressions import (
 _WHO = "from_sympy"
 
 
-class _Equations(NamedTuple):
-    """Equations without their numbers: the structure, which determines what is compiled.
-
-    Programs take the states, the inputs, the parameters and the time; `outputs` the states' rates besides; `start`, the
-    initial values of states, the parameters alone.
-    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit.
-    """
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    rates: Program
-    mass: Program | None
-    outputs: Program
-    start: Program
-    units: tuple[tuple[str, str], ...]
-
-
 @final
 @transparent("numbers")
 class SymPySystem(System):
-    """A system from differential equations of SymPy; made by `al.foreign.from_sympy`."""
+    """A system from differential equations of SymPy; made by `al.foreign.from_sympy`.
+
+    What is compiled is determined by its structure, which are all fields but `numbers` and `start`. Programs take the
+    states, the inputs, the parameters and the time; `formulas`, the outputs, the states' rates besides; `begins`, the
+    initial values that are expressions, the parameters alone.
+    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit.
+    """
 
     numbers: dict[str, Any]
     start: dict[str, Any]
-    equations: _Equations = eqx.field(static=True)
+    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment]
+    further_inputs: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    rates: Program = eqx.field(static=True)
+    mass: Program | None = eqx.field(static=True)
+    formulas: Program = eqx.field(static=True)
+    begins: Program = eqx.field(static=True)
+    declared: tuple[tuple[str, str], ...] = eqx.field(static=True)
 
-    states = structure("states")
-    further_inputs = structure("inputs")
-    units = structure("units", dict)
+    units = property(lambda self: dict(self.declared))  # type: ignore[assignment]
 
     @override
     def initial(self) -> Mapping[str, Any]:
-        return {**self.start, **self.equations.start.by_name(self._parameters())}
+        return {**self.start, **self.begins.by_name(self._parameters())}
 
     @override
     def rhs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[Array, ...]:
@@ -79,19 +71,19 @@ class SymPySystem(System):
     def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
         values = self._values(t, z, inputs)
         rates = self._rates(values)
-        return rates, self.equations.outputs.by_name([*values, *rates])
+        return rates, self.formulas.by_name([*values, *rates])
 
     def _parameters(self) -> list[Any]:
-        return [self.numbers[name] for name in self.equations.parameters]
+        return [self.numbers[name] for name in self.parameters]
 
     def _values(self, t: Any, z: Any, inputs: Mapping[str, Any]) -> list[Any]:
-        return [*z, *(inputs[name] for name in self.equations.inputs), *self._parameters(), t]
+        return [*z, *(inputs[name] for name in self.further_inputs), *self._parameters(), t]
 
     def _rates(self, values: Sequence[Any]) -> tuple[Array, ...]:
-        rates = self.equations.rates(values)
-        if self.equations.mass is None:
+        rates = self.rates(values)
+        if self.mass is None:
             return tuple(rates)
-        mass = jnp.stack(self.equations.mass(values)).reshape(len(rates), len(rates))
+        mass = jnp.stack(self.mass(values)).reshape(len(rates), len(rates))
         return tuple(jnp.linalg.solve(mass, jnp.stack(rates)))
 
 
@@ -157,29 +149,29 @@ def from_sympy(
             slopes[state.diff(time, 2)] = dots[rate]
     known = [*states, *inputs, *parameters, time]
     unsolved = "Solve the equations for the rates (sympy.solve), or give their matrix as mass_matrix."
-    equations = _Equations(
+    constant = {state: value for state, value in begun.items() if state not in follow}
+    return SymPySystem(
+        numbers=given,
+        start={name_of(state): number_of(f"{_WHO}: start", state, value) for state, value in constant.items()},
         states=state_names,
-        inputs=tuple(map(name_of, inputs)),
+        further_inputs=tuple(map(name_of, inputs)),
         parameters=tuple(given),
         rates=written(f"{_WHO}: rates", rates.values(), known, unsolved),
         mass=written(f"{_WHO}: mass_matrix", mass, known, unsolved) if mass else None,
-        outputs=written(
+        formulas=written(
             f"{_WHO}: outputs",
             {name: formula.xreplace(slopes) for name, formula in formulas.items()},
             [*known, *dots.values()],
             "Of derivatives, the rates of states may stand there; give an input's as an input of its own.",
         ),
-        start=written(
+        begins=written(
             f"{_WHO}: start",
             {name_of(state): value for state, value in follow.items()},
             parameters,
             "Give numbers, or expressions of parameters.",
         ),
-        units=tuple(units_given(_WHO, units).items()),
+        declared=tuple(units_given(_WHO, units).items()),
     )
-    constant = {state: value for state, value in begun.items() if state not in follow}
-    begins = {name_of(state): number_of(f"{_WHO}: start", state, value) for state, value in constant.items()}
-    return SymPySystem(given, begins, equations)
 
 
 @final
