@@ -113,7 +113,7 @@ def renumbered(table):
             "at sample 5, as asked; received 2.01 (1 of 32 rows differ)",
         ),
         (renumbered, "points changed or rows reordered"),
-        (lambda table: [*table, table[3]], "sample 4 has 2 rows"),
+        (lambda table: [*table, table[3]], "from 1 to 32, each once; received [4.0]"),
         (lambda table: [{k: v for k, v in row.items() if k != "sample"} for row in table], "['sample'] are missing"),
         (
             lambda table: [*table[:4], table[4] | {"y": "NA"}, *table[5:]],

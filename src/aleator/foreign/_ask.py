@@ -196,12 +196,9 @@ def _rows_of(name: str, values: Any) -> np.ndarray:
 
 def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
     """The samples of rows as indices from 0 on."""
-    if not (whole := np.isin(values, np.arange(1, count + 1))).all():
-        bad = float(values[~whole][0])
-        raise border.refusal(f"tell: {_NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
-    samples, times = np.unique(values, return_counts=True)
-    if (times > 1).any():
-        raise ProblemError(f"tell: sample {samples[times > 1][0]:g} has {times.max()} rows; expected one.")
+    seen, times = np.unique(values, return_counts=True)
+    if (bad := seen[(times > 1) | ~np.isin(seen, np.arange(1, count + 1))]).size:
+        raise border.refusal(f"tell: {_NUMBER!r}", f"the numbers of samples from 1 to {count}, each once", bad.tolist())
     return values.astype(int) - 1
 
 

@@ -226,14 +226,11 @@ class Samples:
             outputs = as_outputs(returned, self._name, np)
         except ProblemError as error:
             raise SimulationError(str(error).rstrip(".")) from error
-        named = jax.tree_util.tree_leaves_with_path(outputs)
-        for path, leaf in named:
+        for path, leaf in jax.tree_util.tree_leaves_with_path(outputs):
             if not np.isfinite(leaf).all():
                 place = jax.tree_util.keystr(path, simple=True, separator=".")
                 what = f"output {place!r}" if place else "its output"
                 raise SimulationError(f"{what} is {leaf[~np.isfinite(leaf)][0]}")
-        if not named:
-            raise SimulationError("it returned no outputs")
         first, expected = self.first or (self.realisations[index], outputs)
         if not same_shapes(outputs, expected):
             now, before = (jax.tree.map(np.shape, tree) for tree in (outputs, expected))

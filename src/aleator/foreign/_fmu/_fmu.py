@@ -113,10 +113,6 @@ class Fmu:
                 hint = meant(f"{name}", known)
                 raise ProblemError(f"FMU '{self.name}': expected inputs among {known}; received {shown(name)}.{hint}")
 
-    def readable(self, names: Iterable[Any] | None) -> list[str]:
-        """Names of real variables, by default of all outputs."""
-        return self.outputs if names is None else self.checked(names, is_set=False)
-
     def checked(self, names: Iterable[Any], *, is_set: bool = True, of_any_type: bool = False) -> list[str]:
         """Names, each checked to be of a real variable, and of one that may be set before the start if it `is_set`."""
         names = list(names)

@@ -65,7 +65,7 @@ class FmuSimulation:
         self._grid = one_of("FmuSimulation: grid", grid, Grid, "al.Grid(2.0, 200)")
         real("FmuSimulation: the final time", grid.t_final, "a known one")
         self.__name__, self._who = fmu.name, f"FMU '{fmu.name}'"  # in messages
-        self._outputs = fmu.readable(outputs)
+        self._outputs = fmu.outputs if outputs is None else fmu.checked(outputs, is_set=False)
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._signals = dict(one_of(f"{self._who}: inputs", inputs or {}, Mapping, "{'force': al.Tabulated(t, f)}"))
         fmu.refuse_other_inputs(self._signals, fmu.inputs)

@@ -65,7 +65,8 @@ class FmuSystem(System):
         }
         numbers = {name: value if isinstance(value, float) else None for name, value in self.parameters.items()}
         free = [name for name in fmu.inputs if name not in numbers]
-        self._equations = _Equations(fmu, numbers, free, fmu.readable(outputs))
+        read = fmu.outputs if outputs is None else fmu.checked(outputs, is_set=False)
+        self._equations = _Equations(fmu, numbers, free, read)
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
