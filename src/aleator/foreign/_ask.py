@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
@@ -101,7 +100,7 @@ class Asked:
         """The expansion of the responses: the same as that of `al.expand`, to the last bit.
 
         - `responses`: the path of the CSV file with further columns for outputs, `y` or `y[0]`, `y[1]`, ...; or an
-          `xarray.Dataset` with dimension `sample`; or a dict of arrays of shape (n, *shape), or one such array. Rows
+          `xarray.Dataset` with dimension `sample`; or a dict of arrays of shape (n, *shape). Rows
           that give the number of their `sample` may come in any order; values of the inputs, which a file and a dataset
           must have, are compared with the points, to six digits at least. A column `comment` may have texts. A response
           is missing if its row is, or if all its numbers are NaN or empty;
@@ -157,41 +156,39 @@ def _answers(points: Mapping[str, Float[np.ndarray, " n"]], responses: Any) -> l
 
     Raises `ProblemError` if rows do not belong to the points.
     """
-    if is_table := isinstance(responses, str | os.PathLike):
-        columns: Pytree = _from_table(responses)
-    elif is_table := hasattr(responses, "data_vars"):  # an `xarray.Dataset`, whose library takes long to import
+    is_dataset = hasattr(responses, "data_vars")  # of xarray, which takes long to import
+    is_table = is_dataset or isinstance(responses, str | os.PathLike)
+    if is_dataset:
         own = {str(name): values for name, values in responses.variables.items() if _NUMBER in values.dims}
-        columns = {name: _rows_of(name, values.transpose(_NUMBER, ...).values) for name, values in own.items()}
-    elif isinstance(responses, Mapping):
-        columns = {border.a_name("tell: an output", name): _rows_of(name, rows) for name, rows in responses.items()}
+        given: Any = {name: values.transpose(_NUMBER, ...).values for name, values in own.items()}
     else:
-        columns = _rows_of("the responses", responses)
-    named = columns if isinstance(columns, dict) else {}
-    if missing := [name for name in (_NUMBER, *points) if is_table and name not in named]:
+        given = _from_table(responses) if is_table else responses
+    columns = dict[str, np.ndarray]()
+    for name, rows in border.one_of("tell: responses", given, Mapping, "{'y': array}, or a table").items():
+        expected = "real numbers with a row for each sample"
+        array = border.real_array(f"tell: {border.a_name('tell: an output', name)}", rows, expected)
+        columns[name] = np.atleast_1d(array)
+    if missing := [name for name in (_NUMBER, *points) if is_table and name not in columns]:
         raise ProblemError(
             f"tell: expected the points that were asked for beside the outputs, to compare them; {missing} are missing "
-            f"among {list(named)}."
+            f"among {list(columns)}."
         )
     count = len(next(iter(points.values())))
-    lengths = {len(rows) for rows in jax.tree.leaves(columns)}
-    if len(lengths) > 1 or (_NUMBER not in named and lengths != {count}):
+    lengths = {len(rows) for rows in columns.values()}
+    if len(lengths) > 1 or (_NUMBER not in columns and lengths != {count}):
         expected = f"tell: expected {count} rows, or a column {_NUMBER!r} with their numbers"
         raise ProblemError(f"{expected}; received {' and '.join(map(str, sorted(lengths)))} rows.")
-    numbers = _numbers(named[_NUMBER], count) if _NUMBER in named else np.arange(count)
+    numbers = _numbers(columns[_NUMBER], count) if _NUMBER in columns else np.arange(count)
     for name, asked in points.items():
-        if name in named:
-            _refuse_changed(name, asked, named[name], numbers)
-    outputs = {name: values for name, values in named.items() if name not in (_NUMBER, *points)} if named else columns
-    rows: list[Pytree | None] = [None] * count
+        if name in columns:
+            _refuse_changed(name, asked, columns[name], numbers)
+    outputs = {name: values for name, values in columns.items() if name not in (_NUMBER, *points)}
+    found: list[Pytree | None] = [None] * count
     for row, number in enumerate(numbers.tolist()):
-        response = jax.tree.map(lambda values, row=row: np.array(values[row]), outputs)
-        if not all(np.isnan(leaf).all() for leaf in jax.tree.leaves(response)):
-            rows[number] = response
-    return rows
-
-
-def _rows_of(name: str, values: Any) -> np.ndarray:
-    return np.atleast_1d(border.real_array(f"tell: {name}", values, "real numbers with a row for each sample"))
+        response = {name: np.array(values[row]) for name, values in outputs.items()}
+        if not all(np.isnan(value).all() for value in response.values()):
+            found[number] = response
+    return found
 
 
 def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:

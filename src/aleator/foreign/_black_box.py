@@ -135,7 +135,9 @@ class BlackBox(AbstractBox):
                     index = waiting.popleft()
                     running[self._submitted(samples.realisations[index].model)] = index
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    index, error = running.pop(future), _error_of(future)
+                    index = running.pop(future)
+                    lost = CancelledError("it cancelled its work") if future.cancelled() else None
+                    error = lost or future.exception()
                     try:
                         if error is not None:
                             raise SimulationError(_reason(error)) from error
@@ -172,10 +174,6 @@ class BlackBox(AbstractBox):
         except (Exception, SystemExit) as error:
             future.set_exception(error)
         return future
-
-
-def _error_of(future: Future[Any]) -> BaseException | None:
-    return CancelledError("it cancelled its work") if future.cancelled() else future.exception()
 
 
 def _reason(error: BaseException) -> str:

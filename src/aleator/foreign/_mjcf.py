@@ -89,7 +89,7 @@ def _library() -> Any:
 def _compiled(path: str | Path, reading: Reading) -> Model:
     """The compiled model, without its deformable bodies, which are an effect.
 
-    Raises `ProblemError` for what MuJoCo refuses, for a model without bodies, and for inertia from a mesh.
+    Raises `ProblemError` for what MuJoCo refuses, and for inertia from a mesh.
     """
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
@@ -106,8 +106,6 @@ def _compiled(path: str | Path, reading: Reading) -> Model:
         except ValueError as error:
             said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
             raise reading.broken("", f"expected a model that MuJoCo accepts; received its refusal: {said}.") from error
-    if model.nbody == 1:
-        raise reading.broken("", "expected a model with a body; received none.")
     reading.notes += [f"MuJoCo: {warning.message}." for warning in heard]
     return model
 
@@ -290,7 +288,7 @@ def _equations(
         return loops, couplings
     for index in np.flatnonzero(model.eq_active0).tolist():
         name, kind = model.equality(index).name or f"equality_{index}", model.eq_type[index]
-        if reading.leaves_out("equality") or kind not in (_CONNECT, _WELD, _JOINT):
+        if "equality" in reading.left_out or kind not in (_CONNECT, _WELD, _JOINT):
             others.append(f"equality '{name}'")
             continue
         if kind == _JOINT:

@@ -96,8 +96,8 @@ class Reading:
 
     def __init__(self, reader: str, path: str | Path, leave_out: Any):
         self._reader, self._path = reader, path
-        self._left_out = members(f"{reader}: leave_out", [leave_out] if isinstance(leave_out, str) else leave_out, str)
-        if unknown := [name for name in self._left_out if name not in _EFFECTS]:
+        self.left_out = members(f"{reader}: leave_out", [leave_out] if isinstance(leave_out, str) else leave_out, str)
+        if unknown := [name for name in self.left_out if name not in _EFFECTS]:
             raise refusal(f"{reader}: leave_out", f"some of {sorted(_EFFECTS)}", unknown[0])
         self.bodies: list[Body] = []
         self.limits: dict[str, tuple[float, float]] = {}
@@ -115,10 +115,6 @@ class Reading:
             yield
         except ProblemError as error:
             raise self.broken(where, str(error)) from error
-
-    def leaves_out(self, effect: str) -> bool:
-        """Whether an effect is left out."""
-        return effect in self._left_out
 
     def root(self, outermost: str) -> Element:
         """The outermost element of the file. Raises `ProblemError` where it cannot be read, or has another name.
@@ -161,7 +157,7 @@ class Reading:
         for name, elements in self.effects.items():
             if found := list(dict.fromkeys(elements)):
                 shown[name] = ", ".join(found[:3]) + f" and {len(found) - 3} more" * (len(found) > 3)
-        if missing := tuple(name for name in shown if name not in self._left_out):
+        if missing := tuple(name for name in shown if name not in self.left_out):
             what = f"a tree of bodies has no place for {_EFFECTS[missing[0]]}"
             advice = f"Or read the robot without it by leave_out={missing!r}."
             raise self.broken(shown[missing[0]], f"{what}. {advice}")

@@ -17,7 +17,7 @@ from aleator._core.errors import ProblemError, SimulationError, SimulationWarnin
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
 from aleator.foreign._fmu._fmu import Fmu
-from aleator.foreign._fmu._simulation import differentiable, relative_steps
+from aleator.foreign._fmu._simulation import differentiable
 
 # Relative to a number. The error of differences, of the fourth order of the step, is about 1e-12 of a smooth function.
 _STEP = 1e-3
@@ -161,7 +161,7 @@ class _Equations:
                 warnings.warn(reason, SimulationWarning, stacklevel=2)
             return found
 
-        return differentiable(values, (size,), relative_steps(_STEP, sizes))(t, place)
+        return differentiable(values, (size,), _STEP, sizes)(t, place)
 
     def _refuse_memory(self) -> None:
         """Raise `ProblemError` if values at a place depend on where the FMU was before, as those of delays do."""
