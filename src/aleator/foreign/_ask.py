@@ -156,19 +156,18 @@ def _answers(points: Mapping[str, Float[np.ndarray, " n"]], responses: Any) -> l
 
     Raises `ProblemError` if rows do not belong to the points.
     """
-    is_dataset = hasattr(responses, "data_vars")  # of xarray, which takes long to import
-    is_table = is_dataset or isinstance(responses, str | os.PathLike)
-    if is_dataset:
-        own = {str(name): values for name, values in responses.variables.items() if _NUMBER in values.dims}
-        given: Any = {name: values.transpose(_NUMBER, ...).values for name, values in own.items()}
-    else:
-        given = _from_table(responses) if is_table else responses
+    given: Any = responses
+    if isinstance(responses, str | os.PathLike):
+        given = _from_table(responses)
+    elif hasattr(given, "data_vars"):  # an `xarray.Dataset`, whose library takes long to import
+        own = {str(name): values for name, values in given.variables.items() if _NUMBER in values.dims}
+        given = {name: values.transpose(_NUMBER, ...).values for name, values in own.items()}
     columns = dict[str, np.ndarray]()
     for name, rows in border.one_of("tell: responses", given, Mapping, "{'y': array}, or a table").items():
         expected = "real numbers with a row for each sample"
         array = border.real_array(f"tell: {border.a_name('tell: an output', name)}", rows, expected)
         columns[name] = np.atleast_1d(array)
-    if missing := [name for name in (_NUMBER, *points) if is_table and name not in columns]:
+    if missing := [name for name in (_NUMBER, *points) if given is not responses and name not in columns]:
         raise ProblemError(
             f"tell: expected the points that were asked for beside the outputs, to compare them; {missing} are missing "
             f"among {list(columns)}."
