@@ -135,7 +135,7 @@ class _Responses(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        samples = Samples(f"'{self.__name__}'", realisations, 0.0 if whole else self._drop)
+        samples = Samples(f"'{self.__name__}'", realisations, self._drop, whole=whole)
         found: list[Pytree | None] = [None] * len(realisations)
         for index, realisation in enumerate(realisations):
             try:

@@ -103,7 +103,7 @@ class BlackBox(AbstractBox):
         if isinstance(self._inner, Command) or (code != self._code and not self._version):
             self._code, journal.box = code, self._identity()
         keys = [journal.key(realisation) for realisation in realisations]
-        samples = Samples(name_of(self), realisations, 0.0 if whole else self._drop)
+        samples = Samples(name_of(self), realisations, self._drop, whole=whole)
         try:
             self._run(samples, keys)
         except AleatorError as error:
@@ -111,9 +111,8 @@ class BlackBox(AbstractBox):
             # A journal that could not be written does not have them.
             in_file = journal.path is not None and isinstance(error, SimulationError)
             place = f"in {journal.path.name}" if journal.path and in_file else "by this box"
-            needed = " This method needs every sample, so that none is dropped." if whole and self._drop else ""
             goes_on = f" Finished samples are kept {place} ({kept}): a second call goes on." if kept else ""
-            raise type(error)(f"{str(error).rstrip('.')}.{needed}{goes_on}") from error
+            raise type(error)(f"{str(error).rstrip('.')}.{goes_on}") from error
         samples.warn_of_dropped()
         return [journal.find(key) for key in keys]
 
@@ -138,9 +137,10 @@ class BlackBox(AbstractBox):
                     index = running.pop(future)
                     lost = CancelledError("it cancelled its work") if future.cancelled() else None
                     error = lost or future.exception()
+                    reason = "" if error is None else _reason(error)
                     try:
                         if error is not None:
-                            raise SimulationError(_reason(error)) from error
+                            raise SimulationError(reason) from error
                         keep(index, future.result())
                     except SimulationError as failure:
                         tries[index] += 1
@@ -208,10 +208,12 @@ def drop_given(what: str, drop: Any) -> float:
 
 @final
 class Samples:
-    """The realisations of a model called `name`, of which a part `drop` may fail; `first`: one that has finished."""
+    """The realisations of a model called `name`, of which a part `drop` may fail, but none if a method needs the
+    `whole`; `first`: one that has finished.
+    """
 
-    def __init__(self, name: str, realisations: Sequence[Realisation], drop: float):
-        self._name, self.realisations, self._drop = name, realisations, drop
+    def __init__(self, name: str, realisations: Sequence[Realisation], drop: float, *, whole: bool):
+        self._name, self.realisations, self._drop, self._whole = name, realisations, drop, whole
         self.first: tuple[Realisation, Pytree] | None = None
         self._failures: dict[int, str] = {}
 
@@ -240,11 +242,13 @@ class Samples:
         """Note a failure. Raises `SimulationError` if these are more than may be dropped."""
         self._failures[index] = str(failure)
         count = len(self.realisations)
-        most = math.floor(self._drop * count * (1 + 1e-12))  # products such as 0.29 * 100 are not rounded down
+        # Products such as 0.29 * 100 are not rounded down.
+        most = 0 if self._whole else math.floor(self._drop * count * (1 + 1e-12))
         if len(self._failures) > most:
             failed = f"{len(self._failures)} of {count} samples failed, and drop={self._drop:g} allows {most}: "
             which = f"{self._name} failed at {self.realisations[index]}: {failure}"
-            raise SimulationError(failed * bool(most) + which) from failure
+            needed = ". This method needs every sample, so that none is dropped" * (self._whole and self._drop > 0)
+            raise SimulationError(failed * bool(most) + which + needed) from failure
 
     def warn_of_dropped(self) -> None:
         """Warn if samples were dropped: how many, why the first one, and where they lie among all."""
