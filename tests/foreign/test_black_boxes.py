@@ -37,7 +37,7 @@ def test_outputs_may_choose_terms_and_points():
         (None, "returns nothing"),
         ({"y": 1j, "v": np.zeros(3)}, "complex"),
         ({"y": np.nan, "v": np.zeros(3)}, "output 'y' is nan"),
-        ({"y": 1.0}, "'y' of shape (), where sample 1 had 'v' of shape (3,), 'y' of shape ()"),
+        ({"y": 1.0}, "arrays of shapes {'y': ()}, where sample 1 had {'v': (3,), 'y': ()}"),
     ],
 )
 def test_nonsense_is_refused_by_sample_and_inputs(value, said):

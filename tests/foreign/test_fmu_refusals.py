@@ -1,12 +1,9 @@
 """Wrong names of parameters of FMUs, and runs that fail: one sentence each, with the FMU's name."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.foreign._fmu._fmu import kind_of
 from rods import here
 
 GRID = al.Grid(2.0, 4)
@@ -72,15 +69,6 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, behaviour, versi
 def test_events_without_end_end_a_run(rods, version, behaviour, message):
     run = al.foreign.FmuSimulation(here(rods(version, wall=True), settings={"behaviour": behaviour}), GRID)
     refused(al.SimulationError, f"FMU 'rod{version}_wall_mc'.*{message}", run, {"fail_at": 0.1})
-
-
-def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_is_told_the_nearest():
-    both = SimpleNamespace(modelExchange=True, coSimulation=True)
-    assert kind_of("rod", both, "ModelExchange") == kind_of("rod", both, "me") == "model exchange"
-    with pytest.raises(al.ProblemError, match=r"received 'modl exchange'\. Did you mean 'model exchange'\?"):
-        kind_of("rod", both, "modl exchange")
-    with pytest.raises(al.ProblemError, match=r"one of \['co-simulation'\]; received 'ModelExchange'"):
-        kind_of("rod", SimpleNamespace(modelExchange=None, coSimulation=True), "ModelExchange")
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):

@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
@@ -17,132 +16,20 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator.analysis import Expanded, expand, fresh_points
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
-from aleator.foreign._black_box import drop_given, most_of, sound, warn_of_dropped
+from aleator.foreign._black_box import Samples, drop_given
 from aleator.trajectories import numbers_in, read_table
 from aleator.uncertainty import placements, refuse_intervals, refuse_nonpositive
 
 if TYPE_CHECKING:
     import xarray
 
-NUMBER = "sample"
-"""The column with the numbers of samples, from 1 on."""
-
+# The column with the numbers of samples, from 1 on, and those that nobody reads here, which may have texts.
+_NUMBER, _COMMENTS = "sample", ("comment", "comments")
 # Inputs may be rounded to six digits: by this part of the number, and no more than this part of the range; and by this
 # part of the largest number, as spreadsheets round (15 digits).
 _SIX_DIGITS, _OF_RANGE, _ROUNDED = 5.000001e-6, 1e-3, 1e-9
-
-# Columns of a table that nobody reads here: they may have texts.
-_COMMENTS = ("comment", "comments")
-
 # A column with one entry of an output: y[3].
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
-
-
-def columns_of(responses: Any, inputs: list[str]) -> Pytree:
-    """Responses in any form as a dict of arrays with a row for each sample, or as one array."""
-    if isinstance(responses, str | os.PathLike):
-        columns = _from_table(responses)
-    elif hasattr(responses, "data_vars"):
-        columns = _from_dataset(responses)
-    elif isinstance(responses, Mapping):
-        return {border.a_name("tell: an output", name): _rows_of(name, values) for name, values in responses.items()}
-    else:
-        return _rows_of("the responses", responses)
-    if missing := [name for name in (NUMBER, *inputs) if name not in columns]:
-        raise ProblemError(
-            f"tell: expected the points that were asked for beside the outputs, to compare them; {missing} are missing "
-            f"among {list(columns)}."
-        )
-    return columns
-
-
-def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> list[Pytree | None]:
-    """The response of each sample that was asked for; None where it is missing.
-
-    Raises `ProblemError` if rows do not belong to the points.
-    """
-    named = columns if isinstance(columns, dict) else {}
-    count = len(next(iter(points.values())))
-    outputs = {name: values for name, values in named.items() if name not in (NUMBER, *points)} if named else columns
-    lengths = {len(values) for values in jax.tree.leaves(columns)}
-    if len(lengths) > 1 or (NUMBER not in named and lengths != {count}):
-        raise ProblemError(
-            f"tell: expected {count} rows, one for each sample, or a column {NUMBER!r} with their numbers; received "
-            f"{' and '.join(map(str, sorted(lengths)))} rows."
-        )
-    numbers = _numbers(named[NUMBER], count) if NUMBER in named else np.arange(count)
-    _refuse_changed(points, named, numbers)
-    rows: list[Pytree | None] = [None] * count
-    for row, number in enumerate(numbers.tolist()):
-        response = jax.tree.map(lambda values, row=row: np.array(values[row]), outputs)
-        if not all(np.isnan(leaf).all() for leaf in jax.tree.leaves(response)):
-            rows[number] = response
-    return rows
-
-
-def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
-    """The samples of rows as indices from 0 on."""
-    whole = np.isin(values, np.arange(1, count + 1))
-    if not whole.all():
-        bad = float(values[~whole][0])
-        raise border.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
-    samples, times = np.unique(values, return_counts=True)
-    if (times > 1).any():
-        raise ProblemError(f"tell: sample {samples[times > 1][0]:g} has {times.max()} rows; expected one.")
-    return values.astype(int) - 1
-
-
-def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray], numbers: np.ndarray) -> None:
-    """Refuse inputs that differ from those that were asked for."""
-    for name in (name for name in points if name in named):
-        received, asked = named[name], points[name][numbers]
-        span, largest = np.ptp(points[name]), np.abs(points[name]).max()
-        allowed = np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * span), _ROUNDED * max(span, largest))
-        wrong = np.flatnonzero(~(np.abs(received - asked) <= allowed))
-        if len(wrong):
-            raise ProblemError(
-                f"tell: expected {name} = {float(asked[wrong[0]])!r} at sample {numbers[wrong[0]] + 1}, as asked; "
-                f"received {float(received[wrong[0]])!r} ({len(wrong)} of {len(asked)} rows differ). Were points "
-                "changed or rows reordered? Ask again, or answer the points that were asked."
-            )
-
-
-def _rows_of(name: str, values: Any) -> np.ndarray:
-    return np.atleast_1d(border.real_array(f"tell: {name}", values, "real numbers with a row for each sample"))
-
-
-def _from_dataset(dataset: Any) -> dict[str, np.ndarray]:
-    """The variables and coordinates along the samples of an `xarray.Dataset`, whose library takes long to import."""
-    own = {str(name): values for name, values in dataset.variables.items() if NUMBER in values.dims}
-    return {name: _rows_of(name, values.transpose(NUMBER, ...).values) for name, values in own.items()}
-
-
-def _from_table(path: Any) -> dict[str, np.ndarray]:
-    names, rows = read_table("tell", path)
-    names = [name.strip() for name in names]
-    if len(set(names)) < len(names):
-        raise ProblemError(f"{path}: expected each column once; received {names}.")
-    columns: dict[str, dict[int | None, Any]] = {}
-    for column, name in enumerate(names):
-        if name.lower() in _COMMENTS:
-            continue
-        try:
-            values = numbers_in(rows, column)
-        except ValueError as error:
-            raise ProblemError(
-                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
-                f"Texts may stand in a column {_COMMENTS[0]!r}."
-            ) from error
-        part = _ENTRY.fullmatch(name)
-        own, place = (name, None) if part is None else (part[1], int(part[2]))
-        columns.setdefault(own, {})[place] = values
-    for name, entries in columns.items():
-        if list(entries) not in ([None], [*range(len(entries))]):
-            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ...")
-    return {
-        name: entries[None] if None in entries else np.stack([*entries.values()], axis=1)
-        for name, entries in columns.items()
-    }
 
 
 def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
@@ -160,10 +47,9 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     refuse_nonpositive(model)
     places = placements(model)
     refuse_intervals("ask", places)
-    if not places.distributions:
-        raise border.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
-    if NUMBER in places.distributions:
-        raise ProblemError(f"ask: {NUMBER!r} is the name of the samples' numbers; expected another name of the input.")
+    if not places.distributions or _NUMBER in places.distributions:
+        expected = f"distributions in it, such as al.Uniform.bounds(0.9, 1.1), none of the name {_NUMBER!r}"
+        raise border.refusal("ask: the model", expected, model)
     expansion = expansion or Expansion()
     _, nodes = candidate_terms(places.germs, expansion)
     decisions = jax_array(places.vector("initial"))
@@ -196,8 +82,8 @@ class Asked:
         """The points with dimension `sample`; outputs may be added to it."""
         import xarray
 
-        points = {name: (NUMBER, values) for name, values in self.points.items()}
-        return xarray.Dataset(coords=points | {NUMBER: np.arange(1, len(self) + 1)})
+        points = {name: (_NUMBER, values) for name, values in self.points.items()}
+        return xarray.Dataset(coords=points | {_NUMBER: np.arange(1, len(self) + 1)})
 
     def write_csv(self, path: str | os.PathLike) -> None:
         """Write the points as a CSV file with one line for each sample, all digits of each number.
@@ -207,34 +93,32 @@ class Asked:
         rows = zip(*(values.tolist() for values in self.points.values()), strict=True)
         with border.writing("write_csv", path) as place, place.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
-            table.writerow([NUMBER, *self.points])
+            table.writerow([_NUMBER, *self.points])
             table.writerows([number, *row] for number, row in enumerate(rows, 1))
 
     def tell(self, responses: Any, *, drop: float = 0.0, times: Any = None) -> Expanded:
         """The expansion of the responses: the same as that of `al.expand`, to the last bit.
 
         - `responses`: the path of the CSV file with further columns for outputs, `y` or `y[0]`, `y[1]`, ...; or an
-          `xarray.Dataset` with dimension `sample`; or a dict of arrays of shape (n, *shape), or one such array. Rows
+          `xarray.Dataset` with dimension `sample`; or a dict of arrays of shape (n, *shape). Rows
           that give the number of their `sample` may come in any order; values of the inputs, which a file and a dataset
-          must have, are compared with the points, to six digits at least. A column `comment` may have texts, which are
-          left aside. A response is missing if its row is, or if all its numbers are NaN
-          or empty;
+          must have, are compared with the points, to six digits at least. A column `comment` may have texts. A response
+          is missing if its row is, or if all its numbers are NaN or empty;
         - `drop`: the largest part of the samples that may be missing, below one half; least squares then takes the
           others, as long as it stays well conditioned;
         - `times`: as in `al.expand`.
 
-        Raises `ProblemError` if points were changed, `SimulationError` if more samples than
-        `drop` allows are missing or not finite. Warns with `SimulationWarning` of a bias if some are.
+        Raises `ProblemError` if points were changed, `SimulationError` if more samples than `drop` allows are missing
+        or not finite. Warns with `SimulationWarning` of a bias if some are.
         """
         part = drop_given("tell: drop", drop)
-        rows = answers(self.points, columns_of(responses, list(self.points)))
-        return expand(_Responses(rows, part), self._model, self._expansion, times=times)
+        box = _Responses(_answers(self.points, responses), part)
+        return expand(box, self._model, self._expansion, times=times)
 
     def __str__(self) -> str:
-        lines = [f"{len(self)} samples of {', '.join(self.points)}"]
-        for name, values in self.points.items():
-            lines.append(f"  {name}: {values.min():.6g} to {values.max():.6g}")
-        return "\n".join([*lines, "tell(responses) expands the outputs"])
+        ranges = [f"  {name}: {values.min():.6g} to {values.max():.6g}" for name, values in self.points.items()]
+        head = f"{len(self)} samples of {', '.join(self.points)}"
+        return "\n".join([head, *ranges, "tell(responses) expands the outputs"])
 
 
 @final
@@ -251,23 +135,102 @@ class _Responses(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        failures: dict[int, str] = {}
-        for index, outputs in enumerate(self._rows):
-            if outputs is None:
-                failures[index] = "it has no response"
-                continue
+        samples = Samples(f"'{self.__name__}'", realisations, self._drop, whole=whole)
+        found: list[Pytree | None] = [None] * len(realisations)
+        for index, realisation in enumerate(realisations):
             try:
-                sound(outputs, self.__name__, None)
+                if (row := self._rows[realisation.number - 1]) is None:
+                    raise SimulationError("it has no response")
+                found[index] = samples.sound(index, row)
             except SimulationError as error:
-                failures[index] = str(error)
-        most = 0 if whole else most_of(self._drop, len(self._rows))
-        if len(failures) > most:
-            first = min(failures)
-            raise SimulationError(
-                f"tell: {len(failures)} of {len(self._rows)} samples have no response of finite numbers, and drop="
-                f"{self._drop:g} allows {most}{' here' * whole}: first {realisations[first]}, {failures[first]}."
-            )
-        if failures:
-            warn_of_dropped(self.__name__, realisations, failures)
-        asked = (realisation.number - 1 for realisation in realisations)
-        return [None if index in failures else self._rows[index] for index in asked]
+                samples.fail(index, error)
+        samples.warn_of_dropped()
+        return found
+
+
+# --- Responses in any form --------------------------------------------------------------------------------------------
+
+
+def _answers(points: Mapping[str, Float[np.ndarray, " n"]], responses: Any) -> list[Pytree | None]:
+    """The response of each sample that was asked for; None where it is missing.
+
+    Raises `ProblemError` if rows do not belong to the points.
+    """
+    given: Any = responses
+    if isinstance(responses, str | os.PathLike):
+        given = _from_table(responses)
+    elif hasattr(given, "data_vars"):  # an `xarray.Dataset`, whose library takes long to import
+        own = {str(name): values for name, values in given.variables.items() if _NUMBER in values.dims}
+        given = {name: values.transpose(_NUMBER, ...).values for name, values in own.items()}
+    columns = dict[str, np.ndarray]()
+    for name, rows in border.one_of("tell: responses", given, Mapping, "{'y': array}, or a table").items():
+        expected = "real numbers with a row for each sample"
+        array = border.real_array(f"tell: {border.a_name('tell: an output', name)}", rows, expected)
+        columns[name] = np.atleast_1d(array)
+    if missing := [name for name in (_NUMBER, *points) if given is not responses and name not in columns]:
+        raise ProblemError(
+            f"tell: expected the points that were asked for beside the outputs, to compare them; {missing} are missing "
+            f"among {list(columns)}."
+        )
+    count = len(next(iter(points.values())))
+    lengths = {len(rows) for rows in columns.values()}
+    if len(lengths) > 1 or (_NUMBER not in columns and lengths != {count}):
+        expected = f"tell: expected {count} rows, or a column {_NUMBER!r} with their numbers"
+        raise ProblemError(f"{expected}; received {' and '.join(map(str, sorted(lengths)))} rows.")
+    numbers = _numbers(columns[_NUMBER], count) if _NUMBER in columns else np.arange(count)
+    for name, asked in points.items():
+        if name in columns:
+            _refuse_changed(name, asked, columns[name], numbers)
+    outputs = {name: values for name, values in columns.items() if name not in (_NUMBER, *points)}
+    found: list[Pytree | None] = [None] * count
+    for row, number in enumerate(numbers.tolist()):
+        response = {name: np.array(values[row]) for name, values in outputs.items()}
+        if not all(np.isnan(value).all() for value in response.values()):
+            found[number] = response
+    return found
+
+
+def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
+    """The samples of rows as indices from 0 on."""
+    seen, times = np.unique(values, return_counts=True)
+    if (bad := seen[(times > 1) | ~np.isin(seen, np.arange(1, count + 1))]).size:
+        raise border.refusal(f"tell: {_NUMBER!r}", f"the numbers of samples from 1 to {count}, each once", bad.tolist())
+    return values.astype(int) - 1
+
+
+def _refuse_changed(name: str, points: np.ndarray, received: np.ndarray, numbers: Int[np.ndarray, " rows"]) -> None:
+    """Refuse an input that differs from the one that was asked for."""
+    asked, span, largest = points[numbers], np.ptp(points), np.abs(points).max()
+    allowed = np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * span), _ROUNDED * max(span, largest))
+    if len(wrong := np.flatnonzero(~(np.abs(received - asked) <= allowed))):
+        raise ProblemError(
+            f"tell: expected {name} = {float(asked[wrong[0]])!r} at sample {numbers[wrong[0]] + 1}, as asked; "
+            f"received {float(received[wrong[0]])!r} ({len(wrong)} of {len(asked)} rows differ). Were points "
+            "changed or rows reordered? Ask again, or answer the points that were asked."
+        )
+
+
+def _from_table(path: Any) -> dict[str, np.ndarray]:
+    names, rows = read_table("tell", path)
+    columns: dict[str, dict[int | None, Any]] = {}
+    for column, name in enumerate(map(str.strip, names)):
+        if name.lower() in _COMMENTS:
+            continue
+        try:
+            values = numbers_in(rows, column)
+        except ValueError as error:
+            raise ProblemError(
+                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
+                f"Texts may stand in a column {_COMMENTS[0]!r}."
+            ) from error
+        part = _ENTRY.fullmatch(name)
+        own, place = (name, None) if part is None else (part[1], int(part[2]))
+        if columns.setdefault(own, {}).setdefault(place, values) is not values:
+            raise ProblemError(f"{path}: expected each column once; received {name!r} twice.")
+    for name, entries in columns.items():
+        if list(entries) not in ([None], [*range(len(entries))]):
+            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ...")
+    return {
+        name: entries[None] if None in entries else np.stack([*entries.values()], axis=1)
+        for name, entries in columns.items()
+    }

@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, final
@@ -18,7 +18,7 @@ from aleator._core.errors import AleatorError, ProblemError, SimulationError, Si
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest, own_code
 from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
-from aleator.foreign._command import Command, Isolated, refuse_unsendable
+from aleator.foreign._command import Command, Isolated
 from aleator.foreign._journal import Journal
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
@@ -50,8 +50,8 @@ class BlackBox(AbstractBox):
     - `version`: stands for all that the function computes: say another one where that changes. Needed where it reads a
       file, or holds what cannot be written out or changes with each call: without it, these are other boxes.
 
-    A sample fails if the function raises an exception, or if it returns anything but finite real numbers of the same
-    shapes as before. Results are those of the function called directly, bit by bit.
+    Results are those of the function called directly, bit by bit. A sample fails if the function raises an exception,
+    or returns anything but finite real numbers of the same shapes as before.
 
     Raises `SimulationError` for a sample that fails, naming its number and inputs, and for a broken executor; samples
     that finished are kept, so that a second call goes on. Warns with `SimulationWarning` if samples were dropped,
@@ -73,32 +73,23 @@ class BlackBox(AbstractBox):
             raise border.refusal("BlackBox", "a function or a Command", function)
         check_executor("BlackBox", executor)
         self._function, self._executor = function, executor
-        self.retries = border.whole("BlackBox: retries", retries, least=0)
-        self.drop = drop_given("BlackBox: drop", drop)
+        self._retries = border.whole("BlackBox: retries", retries, least=0)
+        self._drop = drop_given("BlackBox: drop", drop)
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
         self._inner = function.function if isinstance(function, Isolated) else function
         self._code = own_code(self._inner)
-        self.journal = Journal(journal, self._identity())
+        self._journal = Journal(journal, self._identity())
         self.__name__ = name_of(function).strip("'")
 
     @property
     @override
     def follows_from(self) -> Any:
         # A command may read what nobody sees, and what warns of dropped samples would be silent if it is recalled.
-        return None if self.drop or isinstance(self._inner, Command) else (self._inner, self._version)
+        return None if self._drop or isinstance(self._inner, Command) else (self._inner, self._version)
 
     @override
     def __call__(self, realised: Pytree) -> Pytree:
         return self._function(realised)
-
-    @override
-    def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        code = own_code(self._inner)
-        if isinstance(self._inner, Command) or (code != self._code and not self._version):
-            self._code, self.journal.box = code, self._identity()
-        campaign = _Campaign(self, realisations, whole=whole)
-        campaign.run(self._function, self._executor)
-        return campaign.outputs
 
     def _identity(self) -> str:
         """A digest of a function's code or its version, or of a command with the contents of the files it names."""
@@ -106,52 +97,57 @@ class BlackBox(AbstractBox):
             return self._inner.digest(self._version)
         return code_digest(self._inner, self._version)
 
+    @override
+    def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
+        code, journal = own_code(self._inner), self._journal
+        if isinstance(self._inner, Command) or (code != self._code and not self._version):
+            self._code, journal.box = code, self._identity()
+        keys = [journal.key(realisation) for realisation in realisations]
+        samples = Samples(name_of(self), realisations, self._drop, whole=whole)
+        try:
+            self._run(samples, keys)
+        except AleatorError as error:
+            kept = sum(journal.find(key) is not None for key in keys)
+            # A journal that could not be written does not have them.
+            in_file = journal.path is not None and isinstance(error, SimulationError)
+            place = f"in {journal.path.name}" if journal.path and in_file else "by this box"
+            goes_on = f" Finished samples are kept {place} ({kept}): a second call goes on." if kept else ""
+            raise type(error)(f"{str(error).rstrip('.')}.{goes_on}") from error
+        samples.warn_of_dropped()
+        return [journal.find(key) for key in keys]
 
-@final
-class _Campaign:
-    """The samples of one call of a box, of which those in the journal have finished; `whole`: none may fail."""
+    def _run(self, samples: "Samples", keys: Sequence[str]) -> None:
+        """Run the samples that have not finished, one of several equal ones, and keep each that does."""
+        for realisation, key in zip(samples.realisations, keys, strict=True):
+            if (outputs := self._journal.find(key)) is not None:
+                samples.first = samples.first or (realisation, outputs)
+        missing = {key: index for index, key in reversed([*enumerate(keys)]) if self._journal.find(key) is None}
+        waiting, running, tries = deque(sorted(missing.values())), dict[Future[Any], int](), Counter[int]()
+        width = 1 if self._executor is None else _IN_FLIGHT
 
-    def __init__(self, box: BlackBox, realisations: Sequence[Realisation], *, whole: bool):
-        self._box, self._realisations, self._name = box, realisations, name_of(box)
-        self._most, self._whole = 0 if whole else most_of(box.drop, len(realisations)), whole
-        self._keys = [box.journal.key(realisation) for realisation in realisations]
-        self._failures: dict[int, str] = {}
-        finished = zip(realisations, self.outputs, strict=True)
-        self._first = next(((one, outputs) for one, outputs in finished if outputs is not None), None)
+        def keep(index: int, returned: Any) -> None:
+            self._journal.add(keys[index], samples.realisations[index], samples.sound(index, returned))
 
-    @property
-    def outputs(self) -> list[Pytree | None]:
-        """The outputs of each sample; None if it has not finished."""
-        return [self._box.journal.find(key) for key in self._keys]
-
-    def run(self, function: Callable[[Pytree], Pytree], executor: Executor | None) -> None:
-        """Run what has not finished, one of several equal samples.
-
-        Raises `SimulationError` for more failures than may be dropped and for a broken executor, and `ProblemError` if
-        no sample could succeed, after what had finished was kept. Warns of those dropped.
-        """
-        self._warn_of_others()
-        first = {key: i for i, key in reversed([*enumerate(self._keys)]) if self._box.journal.find(key) is None}
-        waiting, running, tries = deque(sorted(first.values())), dict[Future[Any], int](), Counter[int]()
-        executor, width = (_InTurn(), 1) if executor is None else (executor, _IN_FLIGHT)
         try:
             while waiting or running:
                 while waiting and len(running) < width:
                     index = waiting.popleft()
-                    running[_submitted(executor, function, self._realisations[index].model)] = index
+                    running[self._submitted(samples.realisations[index].model)] = index
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    error, index = _error_of(future), running.pop(future)
+                    index = running.pop(future)
+                    lost = CancelledError("it cancelled its work") if future.cancelled() else None
+                    error = lost or future.exception()
+                    reason = "" if error is None else _reason(error)
                     try:
                         if error is not None:
-                            raise self._failure(error) from error
-                        self._keep(index, future.result())
+                            raise SimulationError(reason) from error
+                        keep(index, future.result())
                     except SimulationError as failure:
                         tries[index] += 1
-                        if tries[index] <= self._box.retries:
-                            waiting.appendleft(index)
+                        if tries[index] > self._retries:
+                            samples.fail(index, failure)
                         else:
-                            self._failures[index] = f"{failure}"
-                            self._refuse_failures()
+                            waiting.appendleft(index)
         except BaseException as error:
             # First, or a thread whose run is ended would begin the next one.
             for future in running:
@@ -161,91 +157,36 @@ class _Campaign:
             for future, index in running.items():
                 if future.done() and not future.cancelled() and future.exception() is None:
                     with suppress(AleatorError):
-                        self._keep(index, future.result())
-            if not isinstance(error, AleatorError):
-                raise
-            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(error)}") from error.__cause__
-        if self._failures:
-            warn_of_dropped(self._name, self._realisations, self._failures)
+                        keep(index, future.result())
+            raise
 
-    def _warn_of_others(self) -> None:
-        if count := sum(map(self._box.journal.is_of_others, self._keys)):
-            warn_outside(
-                f"The journal {self._box.journal.path} has {count} of these samples by another box, or by this one "
-                "before its code, command or version changed: they are not used, and run again.",
-                SimulationWarning,
-            )
-
-    def _keep(self, index: int, returned: Pytree) -> None:
-        """Keep what a run returned. Raises `SimulationError` if that is no output."""
-        realisation = self._realisations[index]
-        outputs = sound(returned, self._name, self._first)
-        self._first = self._first or (realisation, outputs)
-        if self._box.journal.find(self._keys[index]) is None:
-            self._box.journal.add(self._keys[index], realisation, outputs)
-
-    def _failure(self, error: BaseException) -> SimulationError:
-        """Why a run failed, in one line. Raises what is wrong with all of them: no sample could succeed."""
-        if isinstance(error, SystemExit):
-            # A model that ends its own process has failed; it does not end this one.
-            return SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
-        if isinstance(error, ProblemError) or not isinstance(error, Exception):
-            raise error
-        words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
-        raised = "" if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}"
-        return SimulationError(raised + words)
-
-    def _refuse_failures(self) -> None:
-        """Refuse more failures than may be dropped, naming the last one."""
-        if len(self._failures) <= self._most:
-            return
-        count, (index, reason) = len(self._realisations), next(reversed(self._failures.items()))
-        message = f"{self._name} failed at {self._realisations[index]}: {reason}"
-        if self._most:
-            failed = f"{len(self._failures)} of {count} samples failed"
-            message = f"{failed}, and drop={self._box.drop:g} allows {self._most}: {message}"
-        elif self._whole and self._box.drop:
-            message += ". This method needs every sample, so that none is dropped"
-        raise SimulationError(message)
-
-    def _kept(self, error: AleatorError) -> str:
-        """What has been kept, as a sentence."""
-        count, path = sum(outputs is not None for outputs in self.outputs), self._box.journal.path
-        # A journal that could not be written does not have them.
-        place = "by this box" if path is None or not isinstance(error, SimulationError) else f"in {path.name}"
-        return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
-
-
-@final
-class _InTurn(Executor):
-    """Runs everything at once, in the calling thread."""
-
-    @override
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def _submitted(self, model: Pytree) -> Future[Any]:
+        """A run of the function, which may change containers and arrays of its model."""
+        model = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
+        if self._executor is not None:
+            try:
+                return self._executor.submit(self._function, model)
+            except RuntimeError as error:  # a broken one, or one that takes no more work
+                raise _broken(error) from error
         future = Future[Any]()
         try:
-            future.set_result(fn(*args, **kwargs))
+            future.set_result(self._function(model))
         except (Exception, SystemExit) as error:
             future.set_exception(error)
         return future
 
 
-def _submitted(executor: Executor, function: Callable[[Pytree], Pytree], model: Pytree) -> Future[Any]:
-    """A run of a function, which may change containers and arrays of its model."""
-    model = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
-    try:
-        return executor.submit(function, model)
-    except RuntimeError as error:  # a broken one, or one that takes no more work
+def _reason(error: BaseException) -> str:
+    """Why a sample failed, in one line. Raises errors that have nothing to do with this sample."""
+    if isinstance(error, BrokenExecutor | CancelledError):
         raise _broken(error) from error
-
-
-def _error_of(future: Future[Any]) -> BaseException | None:
-    """What a run raised. Raises `SimulationError` if the executor is broken."""
-    error = BrokenExecutor("it cancelled its work") if future.cancelled() else future.exception()
-    if isinstance(error, BrokenExecutor):
-        raise _broken(error) from error
-    refuse_unsendable("BlackBox", error)
-    return error
+    if isinstance(error, SystemExit):
+        # A model that ends its own process has failed; it does not end this one.
+        return f"it ended itself by sys.exit({'' if error.code is None else error.code!r})"
+    if isinstance(error, ProblemError) or not isinstance(error, Exception):
+        raise error
+    words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
+    return words if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}{words}"
 
 
 def _broken(error: BaseException) -> SimulationError:
@@ -258,72 +199,78 @@ def _broken(error: BaseException) -> SimulationError:
 
 def drop_given(what: str, drop: Any) -> float:
     """The largest part of the samples that may be dropped, from 0 to less than one half."""
-    part = border.real(what, drop, "a number from 0 to less than 0.5")
+    expected = "a number from 0 to less than 0.5"
+    part = border.real(what, drop, expected)
     if not 0 <= part < 0.5:
-        raise border.refusal(what, "a number from 0 to less than 0.5", drop)
+        raise border.refusal(what, expected, drop)
     return part
 
 
-def most_of(drop: float, count: int) -> int:
-    """How many of `count` samples may be dropped; products such as 0.29 * 100 are not rounded down."""
-    return math.floor(drop * count * (1 + 1e-12))
-
-
-def sound(returned: Any, name: str, first: tuple[Realisation, Pytree] | None = None) -> Pytree:
-    """What a box called `name` returned, as finite arrays of the same shapes as those of a `first` sample.
-
-    Raises `SimulationError` if it is anything else, in words that go on after the name of the sample.
+@final
+class Samples:
+    """The realisations of a model called `name`, of which a part `drop` may fail, but none if a method needs the
+    `whole`; `first`: one that has finished.
     """
-    try:
-        outputs = as_outputs(returned, name, np)
-    except ProblemError as error:
-        raise SimulationError(str(error).rstrip(".")) from error
-    if not jax.tree.leaves(outputs):
-        raise SimulationError("it returned no outputs")
-    for output, leaf in _by_name(outputs):
-        if not np.isfinite(leaf).all():
-            raise SimulationError(
-                f"{f'output {output!r}' if output else 'its output'} is {leaf[~np.isfinite(leaf)][0]}"
+
+    def __init__(self, name: str, realisations: Sequence[Realisation], drop: float, *, whole: bool):
+        self._name, self.realisations, self._drop, self._whole = name, realisations, drop, whole
+        self.first: tuple[Realisation, Pytree] | None = None
+        self._failures: dict[int, str] = {}
+
+    def sound(self, index: int, returned: Any) -> Pytree:
+        """What was returned for a sample, as finite arrays of the same shapes as those of the first one.
+
+        Raises `SimulationError` if it is anything else, in words that go on after the name of the sample.
+        """
+        try:
+            outputs = as_outputs(returned, self._name, np)
+        except ProblemError as error:
+            raise SimulationError(str(error).rstrip(".")) from error
+        for path, leaf in jax.tree_util.tree_leaves_with_path(outputs):
+            if not np.isfinite(leaf).all():
+                place = jax.tree_util.keystr(path, simple=True, separator=".")
+                what = f"output {place!r}" if place else "its output"
+                raise SimulationError(f"{what} is {leaf[~np.isfinite(leaf)][0]}")
+        first, expected = self.first or (self.realisations[index], outputs)
+        if not same_shapes(outputs, expected):
+            now, before = (jax.tree.map(np.shape, tree) for tree in (outputs, expected))
+            raise SimulationError(f"it returned arrays of shapes {now}, where sample {first.number} had {before}")
+        self.first = first, expected
+        return outputs
+
+    def fail(self, index: int, failure: SimulationError) -> None:
+        """Note a failure. Raises `SimulationError` if these are more than may be dropped."""
+        self._failures[index] = str(failure)
+        count = len(self.realisations)
+        # Products such as 0.29 * 100 are not rounded down.
+        most = 0 if self._whole else math.floor(self._drop * count * (1 + 1e-12))
+        if len(self._failures) > most:
+            failed = f"{len(self._failures)} of {count} samples failed, and drop={self._drop:g} allows {most}: "
+            which = f"{self._name} failed at {self.realisations[index]}: {failure}"
+            needed = ". This method needs every sample, so that none is dropped" * (self._whole and self._drop > 0)
+            raise SimulationError(failed * bool(most) + which + needed) from failure
+
+    def warn_of_dropped(self) -> None:
+        """Warn if samples were dropped: how many, why the first one, and where they lie among all."""
+        if self._failures:
+            first = min(self._failures)
+            warn_outside(
+                f"{len(self._failures)} of {len(self.realisations)} samples of {self._name} failed and were dropped, "
+                f"first {self.realisations[first]}: {self._failures[first]}. {self._whereabouts()} Statistics may be "
+                "biased: they describe the inputs at which it works, and an expansion extrapolates to the others.",
+                SimulationWarning,
             )
-    if first is not None and not same_shapes(outputs, first[1]):
-        now, before = (
-            ", ".join(
-                f"{f'{output!r}' if output else 'an array'} of shape {leaf.shape}" for output, leaf in _by_name(of)
-            )
-            for of in (outputs, first[1])
-        )
-        raise SimulationError(f"it returned {now}, where sample {first[0].number} had {before}")
-    return outputs
 
-
-def _by_name(outputs: Pytree) -> list[tuple[str, np.ndarray]]:
-    named = jax.tree_util.tree_leaves_with_path(outputs)
-    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in named]
-
-
-def warn_of_dropped(name: str, realisations: Sequence[Realisation], failures: Mapping[int, str]) -> None:
-    """Warn that samples were dropped: how many, why the first one, and where they lie among all.
-
-    `failures`: the reasons, by index into the realisations.
-    """
-    first = min(failures)
-    warn_outside(
-        f"{len(failures)} of {len(realisations)} samples of {name} failed and were dropped, first {realisations[first]}"
-        f": {failures[first]}. {_whereabouts(realisations, list(failures))} Statistics may be biased: they describe "
-        "the inputs at which it works, and an expansion extrapolates to the others.",
-        SimulationWarning,
-    )
-
-
-def _whereabouts(realisations: Sequence[Realisation], dropped: Sequence[int]) -> str:
-    """In words: whether the dropped samples lie together, and how many others lie among them."""
-    names = list(realisations[0].inputs)
-    values = np.array([list(realisation.inputs.values()) for realisation in realisations])
-    low, high = values[dropped].min(axis=0), values[dropped].max(axis=0)
-    width = (high - low) / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny)
-    narrow = [i for i in np.argsort(width, kind="stable")[:_MOST_NAMED].tolist() if width[i] <= _NARROW]
-    if not narrow or len(dropped) < 2:
-        return "They do not lie together." if len(dropped) > 1 else "It may be one of many that would fail nearby."
-    among = np.all((values >= low) & (values <= high), axis=1)
-    ranges = ", ".join(f"{names[i]} from {low[i]:.4g} to {high[i]:.4g}" for i in sorted(narrow))
-    return f"They lie within {ranges}, where {len(dropped)} of {np.count_nonzero(among)} samples failed."
+    def _whereabouts(self) -> str:
+        """In words: whether the dropped samples lie together, and how many others lie among them."""
+        dropped = list(self._failures)
+        names = list(self.realisations[0].inputs)
+        values = np.array([list(realisation.inputs.values()) for realisation in self.realisations])
+        low, high = values[dropped].min(axis=0), values[dropped].max(axis=0)
+        width = (high - low) / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny)
+        narrow = [i for i in np.argsort(width, kind="stable")[:_MOST_NAMED].tolist() if width[i] <= _NARROW]
+        if not narrow or len(dropped) < 2:
+            return "They do not lie together." if len(dropped) > 1 else "It may be one of many that would fail nearby."
+        among = np.all((values >= low) & (values <= high), axis=1)
+        ranges = ", ".join(f"{names[i]} from {low[i]:.4g} to {high[i]:.4g}" for i in sorted(narrow))
+        return f"They lie within {ranges}, where {len(dropped)} of {np.count_nonzero(among)} samples failed."

@@ -7,11 +7,12 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from pickle import PicklingError
 from typing import IO, Any, final
 
+import jax
 import numpy as np
 
 from aleator._core import border
@@ -19,12 +20,9 @@ from aleator._core.arrays import Pytree
 from aleator._core.border import json_of
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.executors import ended_with, endings, exit_told, in_group, last_lines, report
-from aleator._core.leaves import is_traced
-from aleator.ensemble import name_of
 
 # A placeholder in an argument, such as {mass}.
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)\}")
-
 # As much of an output that is no JSON as a message repeats.
 _SHOWN = 160
 
@@ -39,16 +37,14 @@ class Command:
     - `input_file`: the name of a file in that folder, into which all inputs are written as a JSON object;
     - `output_file`: the name of the JSON file that the program writes there; without one, its standard output is read.
       Where all of it is no JSON, its last line is. Outputs are a number, a list of numbers (of lists, ...), or an
-      object of these by name. A number in the last line is refused after a list or an object, and a list after an
-      object, since either may be meant;
+      object of these by name;
     - `time_limit`: seconds after which a run is ended, with all processes that it started.
 
     Each run has a temporary folder, which is deleted after it. Processes that a program leaves behind when it ends by
     itself, such as a licence server, live on.
 
     Raises `ProblemError` if the program is not found, or if an input reaches it nowhere; a call raises
-    `SimulationError` if a run exceeds its time, ends with another exit code than 0, writes no JSON of numbers, or
-    leaves open which of two lines is its output.
+    `SimulationError` if a run exceeds its time, ends with another exit code than 0, or writes no JSON of numbers.
     """
 
     arguments: Sequence[str]
@@ -65,19 +61,15 @@ class Command:
                 raise border.refusal(f"Command: {what}", "the name of a file, without a folder", name)
         if self.time_limit is not None:
             object.__setattr__(self, "time_limit", border.positive("Command: time_limit", self.time_limit))
-        own = {self.input_file, self.output_file}
-        absolute = tuple(name if name in own else _absolute(name) for name in arguments)
-        object.__setattr__(self, "arguments", absolute)
+        own = {"", self.input_file, self.output_file}
+        absolute = [str(Path(one).absolute()) if one not in own and Path(one).is_file() else one for one in arguments]
+        object.__setattr__(self, "arguments", tuple(absolute))
 
     @property
     def __name__(self) -> str:
         """The program, and the first file among its arguments, for messages."""
         files = [Path(argument).name for argument in self.arguments[1:] if Path(argument).is_file()]
         return " ".join([Path(self.arguments[0]).name, *files[:1]])
-
-    @property
-    def _placeholders(self) -> set[str]:
-        return {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
 
     def digest(self, version: str) -> str:
         """A digest of the command, of the contents of the files that it names, and of a version."""
@@ -88,11 +80,10 @@ class Command:
 
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The outputs of one run."""
-        refuse_traced(self, inputs)
-        names = {str(name) for name in border.one_of("Command: its model", inputs, Mapping, "{'mass': 1.0}")}
-        if unknown := self._placeholders - names:
-            raise ProblemError(f"Command: {self.__name__} asks for {sorted(unknown)}; expected some of {list(inputs)}.")
-        if self.input_file is None and (unused := names - self._placeholders):
+        border.one_of("Command: its model", inputs, Mapping, "{'mass': 1.0}")
+        inputs = jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else np.asarray(leaf).tolist(), dict(inputs))
+        asked = {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
+        if self.input_file is None and (unused := set(inputs) - asked):
             raise ProblemError(
                 f"Command: {sorted(unused)} reach {self.__name__} nowhere. Write them in braces in the place of an "
                 "argument, give an input_file, or drop them."
@@ -102,16 +93,17 @@ class Command:
         with own_folder as name, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
             folder = Path(name)
             if self.input_file is not None:
-                (folder / self.input_file).write_text(json.dumps(inputs, default=_plain), encoding="utf-8")
-            self._run([_filled(argument, inputs) for argument in self.arguments], folder, output, errors)
+                (folder / self.input_file).write_text(json.dumps(inputs), encoding="utf-8")
+            arguments = [_PLACEHOLDER.sub(lambda name: str(inputs[name[1]]), one) for one in self.arguments]
+            self._run(arguments, folder, output, errors)
             if self.output_file is None:
                 output.seek(0)
                 return _numbers(output.read().decode(errors="replace"), "its standard output")
             try:
-                text = (folder / self.output_file).read_text(encoding="utf-8", errors="replace")
+                written = (folder / self.output_file).read_text(encoding="utf-8", errors="replace")
             except OSError as error:
                 raise SimulationError(f"it ended without writing {self.output_file}") from error
-            return _numbers(text, self.output_file)
+            return _numbers(written, self.output_file)
 
     def _run(self, arguments: list[str], folder: Path, output: IO[bytes], errors: IO[bytes]) -> None:
         before = endings()
@@ -133,61 +125,14 @@ class Command:
             raise SimulationError(f"it ended by {exit_told(code)}; its stderr {words}")
 
 
-def _absolute(argument: str) -> str:
-    """The path of a file from the root; any other argument as it is."""
-    return str(Path(argument).absolute()) if argument and Path(argument).is_file() else argument
-
-
-def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
-    """An argument with inputs in it: numbers with all their digits, and texts."""
-
-    def text(match: re.Match[str]) -> str:
-        value = inputs[match[1]]
-        if isinstance(value, Mapping) or np.ndim(value):
-            raise border.refusal(f"Command: {match[0]}", "one number; arrays and dicts need an input_file", value)
-        return str(value if isinstance(value, bool | int | float | str) else _plain(value))
-
-    return _PLACEHOLDER.sub(text, argument)
-
-
-def _plain(value: Any) -> Any:
-    """Numbers of NumPy, for which JSON has no form."""
-    return np.asarray(value).tolist()
-
-
 def _numbers(text: str, source: str) -> Pytree:
-    """JSON as arrays of numbers. Raises `SimulationError` for anything else, and where either of two may be meant."""
-    *before, last = [line.strip() for line in text.splitlines() if line.strip()] or [""]
-    parsed = _parsed(text)
-    if parsed is None:
-        parsed = _parsed(last)
-        if parsed is None:
-            received = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
-            raise SimulationError(f"expected JSON in {source}; {received}")
-        if rivals := [line for line in before if _rank(line) > _rank(last)]:
-            raise SimulationError(
-                f"expected one output in {source}; received the last line {last[-_SHOWN:]!r} after "
-                f"{rivals[-1][:_SHOWN]!r}, and either may be meant. Let the last line be an object, such as "
-                '{"y": 1.5}'
-            )
-    return _arrays(parsed, "the output")
-
-
-def _parsed(text: str) -> Any:
-    """What JSON says; None for anything else."""
-    try:
-        return json_of(text)
-    except ValueError:
-        return None
-
-
-def _rank(line: str) -> int:
-    """How much a line looks like an output: an object, which may go on in others or be printed as Python does, most; a
-    list, which `[info] ...` is not, less; a number least.
-    """
-    if line.startswith("{"):
-        return 2
-    return int(line == "[" or isinstance(_parsed(line), list))
+    """All of a text, or its last line, as arrays of numbers. Raises `SimulationError` if neither is JSON of these."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    for one in (text, *lines[-1:]):
+        with suppress(ValueError):
+            return _arrays(json_of(one), "the output")
+    received = f"received {lines[-1][-_SHOWN:]!r}" if lines else "received nothing"
+    raise SimulationError(f"expected JSON in {source}; {received}")
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:
@@ -212,8 +157,7 @@ class Isolated:
       definition belongs under `if __name__ == "__main__":`;
     - `time_limit`: seconds from the start of the process, after which it is ended, with all processes that it started.
 
-    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises, and
-    `ProblemError` if the function cannot be sent to a process.
+    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises.
     """
 
     function: Callable[[Any], Pytree]
@@ -232,15 +176,10 @@ class Isolated:
 
     def __call__(self, realised: Pytree) -> Pytree:
         """The outputs of the function at one realisation."""
-        refuse_traced(self, realised)
         before, context = endings(), multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=report, args=(sender, self.function, realised))
-        try:
-            process.start()
-        except Exception as error:
-            refuse_unsendable("Isolated", error)
-            raise
+        process.start()
         sender.close()
         try:
             with receiver, ended_with(process.pid or 0, lambda: not process.is_alive(), before):
@@ -256,24 +195,3 @@ class Isolated:
         if raised is not None:
             raise SimulationError(f"it raised {raised}")
         return returned
-
-
-def refuse_traced(function: Callable[[Pytree], Pytree], realised: Pytree) -> None:
-    """Raise `ProblemError` for a function that leaves this process if JAX traces it."""
-    if is_traced(realised):
-        kind = type(function).__name__
-        raise ProblemError(f"{name_of(function)} cannot be traced by JAX: wrap it, al.foreign.BlackBox({kind}(...)).")
-
-
-def refuse_unsendable(who: str, error: BaseException | None) -> None:
-    """Raise `ProblemError` if an error says that something cannot be sent to a process.
-
-    Before Python 3.14 the types of these errors are no help.
-    """
-    words = str(error).splitlines()[0].rstrip(".") if str(error) else ""
-    is_named = "pickle" in words.lower() or "local object" in words.lower()
-    if isinstance(error, PicklingError) or (isinstance(error, AttributeError | TypeError) and is_named):
-        raise ProblemError(
-            f"{who}: expected a function and results that can be sent to another process, such as a function at the "
-            f"top level of a module; received: {words}."
-        ) from error

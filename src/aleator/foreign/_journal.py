@@ -32,9 +32,18 @@ class Journal:
         self.box = box
         self.path = None if path is None else Path(one_of("BlackBox: journal", path, (str, Path))).absolute()
         self._known: dict[tuple[str, str], Pytree] = {}
-        self._keys: set[str] = set()
-        if self.path is not None:
-            self._read(self.path)
+        if self.path is None:
+            return
+        try:
+            content = read_lines(self.path)
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {self.path} cannot be read ({error.strerror}).") from error
+        lines = [line.value for line in content.lines]
+        if (lines or content.cut) and lines[:1] != [_HEADER]:
+            raise refusal("BlackBox: journal", "the path of a journal, or of a file that does not exist yet", path)
+        for line in lines[1:]:
+            if isinstance(line, dict) and {"box", "key", "outputs"} <= set(line):
+                self._known[line["box"], line["key"]] = _from_json(line["outputs"])
 
     def key(self, realisation: Realisation) -> str:
         """What identifies a sample: all numbers of its model, and whatever else the model holds, as text."""
@@ -47,49 +56,25 @@ class Journal:
         """The outputs of a finished sample; None if it is not known."""
         return self._known.get((self.box, key))
 
-    def is_of_others(self, key: str) -> bool:
-        """Whether the file has this sample by another box only, or by this one as it was before a change."""
-        return self.path is not None and key in self._keys and (self.box, key) not in self._known
-
     def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
-        """Keep a finished sample."""
-        self._keep(self.box, key, outputs)
-        if self.path is not None:
-            line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
-            self._write(self.path, json.dumps(line))
-
-    def _keep(self, box: str, key: str, outputs: Pytree) -> None:
-        self._known[box, key] = outputs
-        self._keys.add(key)
-
-    def _read(self, path: Path) -> None:
+        """Keep a finished sample, unless it is kept already."""
+        if self.find(key) is not None:
+            return
+        self._known[self.box, key] = outputs
+        if self.path is None:
+            return
+        line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
         try:
-            content = read_lines(path)
-        except OSError as error:
-            raise ProblemError(f"BlackBox: the journal {path} cannot be read ({error.strerror}).") from error
-        lines = [line.value for line in content.lines]
-        if (lines or content.cut) and lines[:1] != [_HEADER]:
-            raise ProblemError(
-                f"BlackBox: expected the path of a journal, or of a file that does not exist yet; {path} is another "
-                "file, whose first line is not a journal's."
-            )
-        for line in lines[1:]:
-            if isinstance(line, dict) and {"box", "key", "outputs"} <= set(line):
-                self._keep(line["box"], line["key"], _from_json(line["outputs"]))
-
-    def _write(self, path: Path, line: str) -> None:
-        try:
-            with path.open("a+b") as file:
-                length = file.seek(0, 2)
-                if length == 0:
+            with self.path.open("a+b") as file:
+                if file.seek(0, 2) == 0:
                     file.write(f"{json.dumps(_HEADER)}\n".encode())
                 else:
                     file.seek(-1, 2)
                     # A line that a killed process left unfinished is ended, so that it spoils no other.
                     file.write(b"" if file.read(1) == b"\n" else b"\n")
-                file.write(f"{line}\n".encode())
+                file.write(f"{json.dumps(line)}\n".encode())
         except OSError as error:
-            raise ProblemError(f"BlackBox: the journal {path} cannot be written ({error.strerror}).") from error
+            raise ProblemError(f"BlackBox: the journal {self.path} cannot be written ({error.strerror}).") from error
 
 
 def _text(leaf: Any) -> Any:

@@ -1,27 +1,43 @@
 """MJCF, the format of MuJoCo, read by MuJoCo itself.
 
 Defaults, includes, frames, replicated bodies, units of angles, and inertia from shapes have rules that only MuJoCo
-knows in full: what it compiles is what it simulates.
+knows in full: what it compiles is what it simulates. Where its equations yield (`solref`, `solimp`), ours hold.
 """
 
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from aleator._core.errors import ProblemError
-from aleator.foreign._mjcf_bodies import (
-    Model,
-    bodies_of,
-    equalities_of,
-    is_disabled,
-    joints_of,
-    library,
-    posture_of,
+from aleator._core.errors import ProblemError, optional
+from aleator.foreign._robot import Reading, Robot, carriers, geometry, moments, orientation
+from aleator.mechanics import AbstractJoint, Ball, Closure, Coupling, Fixed, Free, Prismatic, Revolute
+
+Model: TypeAlias = Any
+"""A compiled model, `mujoco.MjModel`, which declares no types: rows of arrays for bodies, joints, speeds and so on."""
+_FREE, _BALL, _SLIDE, _HINGE = range(4)
+_CONNECT, _WELD, _JOINT = range(3)
+# Directions that differ by less, relative to one, are the same.
+_SAME = 1e-9
+# Effects by the elements that have them: where one of some fields is not zero, unless a flag switches it off.
+_EFFECTS = (
+    ("friction", "joint", ("dof_frictionloss",), ("CONSTRAINT", "FRICTIONLOSS")),
+    ("friction", "tendon", ("tendon_frictionloss",), ("CONSTRAINT", "FRICTIONLOSS")),
+    ("tendons", "tendon", ("tendon_stiffness", "tendon_stiffnesspoly"), ("SPRING",)),
+    ("tendons", "tendon", ("tendon_damping", "tendon_dampingpoly"), ("DAMPER",)),
+    ("tendons", "tendon", ("tendon_armature",), ()),
+    ("ball", "joint", ("jnt_stiffness",), ("SPRING",)),
+    ("ball", "joint", ("dof_damping",), ("DAMPER",)),
+    ("ball", "joint", ("dof_armature",), ()),
+    ("polynomials", "joint", ("jnt_stiffnesspoly",), ("SPRING",)),
+    ("polynomials", "joint", ("dof_dampingpoly",), ("DAMPER",)),
+    ("actuators", "actuator", ("actuator_armature",), ()),
+    ("actuators", "actuator", ("actuator_damping", "actuator_dampingpoly"), ("DAMPER",)),
 )
-from aleator.foreign._robot import Robot, broken, checked_effects, refuse_effects, robot_of, root_of
 
 
 def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
@@ -44,37 +60,44 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     Raises `ProblemError`, with the file and the element, for what is no MJCF or no possible body, and
     `MissingExtraError` without MuJoCo.
     """
-    left_out = checked_effects("read_mjcf", leave_out)
-    root_of("read_mjcf", path, "mujoco")
-    model, flexes, unread = _compiled(path)
-    joints = joints_of(model)
-    equalities = equalities_of(path, model, joints, left_out="equality" in left_out)
-    notes = refuse_effects(path, {**_effects(model, equalities.others), **flexes}, left_out)
-    limits = dict(_limits(model, joints))
-    return robot_of(
-        path,
-        bodies_of(model, joints),
-        gravity=_gravity(model),
-        limits=limits,
-        posture=tuple(posture_of(model, joints).items()),
-        loops=equalities.loops,
-        couplings=equalities.couplings,
-        notes=(*notes, *unread, *equalities.notes, *_notes(model, limits)),
-    )
+    reading = Reading("read_mjcf", path, leave_out)
+    reading.root("mujoco")
+    model = _compiled(path, reading)
+    joints, posture = _joints_of(model), dict[str, float]()
+    for body in range(1, model.nbody):
+        _read_body(model, body, joints, reading)
+    for joint, name in joints.items():
+        ends = _joint(model, joint).coordinates
+        values = model.qpos0[model.jnt_qposadr[joint] :][: len(ends)].tolist()
+        posture |= {f"{name}{end}": value for end, value in zip(ends, values, strict=True) if value}
+        is_axial = model.jnt_type[joint] in (_SLIDE, _HINGE)
+        if is_axial and model.jnt_limited[joint] and not _is_disabled(model, "LIMIT"):
+            reading.limits[name] = tuple(model.jnt_range[joint].tolist())
+        if is_axial and model.jnt_actfrclimited[joint]:
+            reading.limits[f"{name}_torque"] = tuple(model.jnt_actfrcrange[joint].tolist())
+    loops, couplings = _equations(model, joints, reading)
+    _note_effects(model, reading)
+    gravity = (0.0, 0.0, 0.0) if _is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
+    return reading.robot(gravity=gravity, posture=tuple(posture.items()), loops=loops, couplings=couplings)
 
 
-def _compiled(path: str | Path) -> tuple[Model, dict[str, list[str]], tuple[str, ...]]:
-    """The compiled model; its deformable bodies, which were removed before, as an effect; and notes on what else was.
+def _library() -> Any:
+    """MuJoCo, imported late. Raises `MissingExtraError` where it is not installed."""
+    return optional("mujoco", "read_mjcf", "'aleator[robots]'")
 
-    Raises `ProblemError` for what MuJoCo refuses, for a model without bodies, and for inertia from a mesh.
+
+def _compiled(path: str | Path, reading: Reading) -> Model:
+    """The compiled model, without its deformable bodies, which are an effect.
+
+    Raises `ProblemError` for what MuJoCo refuses, and for inertia from a mesh.
     """
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
-            specification = library().MjSpec.from_file(str(path))
-            flexes = {"flex": [f"flex '{flex.name}'" for flex in specification.flexes]}
+            specification = _library().MjSpec.from_file(str(path))
+            reading.effects["flex"] = [f"flex '{flex.name}'" for flex in specification.flexes]
             _delete(specification, specification.flexes)
-            notes = tuple(_without_files(path, specification))
+            _remove_files(specification, reading)
             # Bodies keep their names and places.
             specification.compiler.fusestatic = False
             model = specification.compile()
@@ -82,26 +105,24 @@ def _compiled(path: str | Path) -> tuple[Model, dict[str, list[str]], tuple[str,
             raise
         except ValueError as error:
             said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
-            raise broken(path, "", f"expected a model that MuJoCo accepts; received its refusal: {said}.") from error
-    if model.nbody == 1:
-        raise broken(path, "", "expected a model with a body; received none.")
-    return model, flexes, (*notes, *(f"MuJoCo: {warning.message}." for warning in heard))
+            raise reading.broken("", f"expected a model that MuJoCo accepts; received its refusal: {said}.") from error
+    reading.notes += [f"MuJoCo: {warning.message}." for warning in heard]
+    return model
 
 
-def _without_files(path: str | Path, specification: Any) -> Iterator[str]:
+def _remove_files(specification: Any, reading: Reading) -> None:
     """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them."""
     shapes = [geom for geom in specification.geoms if geom.meshname or geom.hfieldname]
     for geom in shapes:
         if _gives_inertia(specification, geom):
-            raise broken(
-                path,
+            raise reading.broken(
                 f"body '{geom.parent.name}'",
                 f"expected its inertia in numbers; received a mesh ('{geom.meshname or geom.name}') to compute it "
                 "from, which is not read. Give the body an <inertial> with pos, mass and fullinertia (MuJoCo writes "
                 "the numbers that it computes itself by mj_saveLastXML).",
             )
     if shapes:
-        yield f"Meshes and height fields are not read ({len(shapes)})."
+        reading.notes.append(f"Meshes and height fields are not read ({len(shapes)}).")
         names = {geom.name for geom in shapes if geom.name}
         _delete(specification, [pair for pair in specification.pairs if {pair.geomname1, pair.geomname2} & names])
         _delete(specification, shapes)
@@ -113,7 +134,7 @@ def _without_files(path: str | Path, specification: Any) -> Iterator[str]:
 
 def _gives_inertia(specification: Any, geom: Any) -> bool:
     """Whether the inertia of a moving body is computed from a shape."""
-    kinds, moving = library().mjtInertiaFromGeom, geom.parent
+    kinds, moving = _library().mjtInertiaFromGeom, geom.parent
     while moving is not None and moving.name != "world" and not len(moving.joints):
         moving = moving.parent
     # Bodies of an attached file keep its settings.
@@ -133,26 +154,19 @@ def _delete(specification: Any, parts: Collection[Any]) -> None:
         specification.delete(part)
 
 
-# Effects by the elements that have them: where one of some fields is not zero, unless a flag switches it off.
-_EFFECTS = (
-    ("friction", "joint", ("dof_frictionloss",), ("CONSTRAINT", "FRICTIONLOSS")),
-    ("friction", "tendon", ("tendon_frictionloss",), ("CONSTRAINT", "FRICTIONLOSS")),
-    ("tendons", "tendon", ("tendon_stiffness", "tendon_stiffnesspoly"), ("SPRING",)),
-    ("tendons", "tendon", ("tendon_damping", "tendon_dampingpoly"), ("DAMPER",)),
-    ("tendons", "tendon", ("tendon_armature",), ()),
-    ("ball", "joint", ("jnt_stiffness",), ("SPRING",)),
-    ("ball", "joint", ("dof_damping",), ("DAMPER",)),
-    ("ball", "joint", ("dof_armature",), ()),
-    ("polynomials", "joint", ("jnt_stiffnesspoly",), ("SPRING",)),
-    ("polynomials", "joint", ("dof_dampingpoly",), ("DAMPER",)),
-    ("actuators", "actuator", ("actuator_armature",), ()),
-    ("actuators", "actuator", ("actuator_damping", "actuator_dampingpoly"), ("DAMPER",)),
-)
+def _is_disabled(model: Model, *flags: str) -> bool:
+    """Whether a file switches some of the effects off: "SPRING", "DAMPER", "GRAVITY" and others of `mjtDisableBit`."""
+    return any(model.opt.disableflags & getattr(_library().mjtDisableBit, f"mjDSBL_{flag}") for flag in flags)
 
 
-def _effects(model: Model, equations: Sequence[int]) -> dict[str, list[str]]:
-    """Effects for which a tree of bodies has no place, some equations among them, with the elements that have them."""
-    found: dict[str, list[str]] = {}
+def _note_effects(model: Model, reading: Reading) -> None:
+    """Note effects for which a tree of bodies has no place, with the elements that have them, and what is not read."""
+
+    def add(effect: str, kind: str, places: Iterable[Any]) -> None:
+        names = [(int(i), getattr(model, kind)(int(i)).name) for i in places]
+        elements = [f"{kind} '{name}'" if name else f"{kind} {i} (without a name)" for i, name in names]
+        reading.effects.setdefault(effect, []).extend(elements)
+
     for effect, kind, fields, flags in _EFFECTS:
         # Fields that an older MuJoCo does not have are zero.
         present = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
@@ -160,47 +174,215 @@ def _effects(model: Model, equations: Sequence[int]) -> dict[str, list[str]]:
         if fields[0].startswith("dof_"):
             rows = {int(model.dof_jntid[row]) for row in rows}
         if effect == "ball":
-            rows = {row for row in rows if model.jnt_type[row] <= 1}
-        found.setdefault(effect, []).extend([] if is_disabled(model, *flags) else _named(model, kind, sorted(rows)))
+            rows = {row for row in rows if model.jnt_type[row] in (_FREE, _BALL)}
+        add(effect, kind, [] if _is_disabled(model, *flags) else sorted(rows))
     # MuJoCo leaves out all passive forces if both are switched off.
-    is_passive = not (is_disabled(model, "SPRING") and is_disabled(model, "DAMPER"))
-    is_weighty, is_fluid = any(_gravity(model)), model.opt.density > 0 or model.opt.viscosity > 0
-    return found | {
-        "equality": _named(model, "equality", equations),
-        "fluid": ["option"] if is_passive and is_fluid else [],
-        "gravcomp": _named(model, "body", np.flatnonzero(model.body_gravcomp) if is_passive and is_weighty else []),
-        "plugins": _named(model, "body", np.flatnonzero(model.body_plugin >= 0)),
-    }
+    if not (_is_disabled(model, "SPRING") and _is_disabled(model, "DAMPER")):
+        is_weightless = _is_disabled(model, "GRAVITY") or not np.any(model.opt.gravity)
+        add("gravcomp", "body", [] if is_weightless else np.flatnonzero(model.body_gravcomp))
+        reading.effects["fluid"] = ["option"] * (model.opt.density > 0 or model.opt.viscosity > 0)
+    add("plugins", "body", np.flatnonzero(model.body_plugin >= 0))
+    for count, note in (
+        (model.nu, "Actuators are not read ({}): each joint has a torque of its own."),
+        (model.ngeom, "There is no contact: bodies pass through one another."),
+        (model.ntendon, "Tendons are not read, nor their limits ({})."),
+        (model.nmocap, "Bodies that a program moves (mocap) are fixed to the ground ({})."),
+    ):
+        if count:
+            reading.notes.append(note.format(count))
 
 
-def _named(model: Model, kind: str, places: Iterable[Any]) -> list[str]:
-    """The elements of a kind at some places."""
-    names = [(int(i), getattr(model, kind)(int(i)).name) for i in places]
-    return [f"{kind} '{name}'" if name else f"{kind} {i} (without a name)" for i, name in names]
+# --- Bodies and joints ------------------------------------------------------------------------------------------------
 
 
-def _gravity(model: Model) -> tuple[float, ...]:
-    """Gravity, m/s²."""
-    return (0.0, 0.0, 0.0) if is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
+def _joints_of(model: Model) -> dict[int, str]:
+    """The names of the bodies that carry joints, by MuJoCo's number of the joint: those of the joints, as a rule."""
+    links = [_link_name(model, body) for body in range(1, model.nbody)]
+    given = {i: model.joint(i).name or _link_name(model, int(model.jnt_bodyid[i])) for i in range(model.njnt)}
+    return given | carriers({i: name for i, name in given.items() if not _is_link_itself(model, i)}, links)
 
 
-def _limits(model: Model, joints: Mapping[int, str]) -> Iterator[tuple[str, tuple[float, float]]]:
-    for joint, name in joints.items():
-        is_axial = model.jnt_type[joint] > 1
-        if is_axial and model.jnt_limited[joint] and not is_disabled(model, "LIMIT"):
-            yield name, tuple(model.jnt_range[joint].tolist())
-        if is_axial and model.jnt_actfrclimited[joint]:
-            yield f"{name}_torque", tuple(model.jnt_actfrcrange[joint].tolist())
+def _link_name(model: Model, body: int) -> Any:
+    """The name of a body, or one by its number; None for the ground."""
+    return model.body(body).name or f"body_{body}" if body else None
 
 
-def _notes(model: Model, limits: Mapping[str, Any]) -> Iterator[str]:
-    if limits:
-        yield "Limits are in robot.limits; nothing enforces them."
-    if model.nu:
-        yield f"Actuators are not read ({model.nu}): each joint has a torque of its own."
-    if model.ngeom:
-        yield "There is no contact: bodies pass through one another."
-    if model.ntendon:
-        yield f"Tendons are not read, nor their limits ({model.ntendon})."
-    if model.nmocap:
-        yield f"Bodies that a program moves (mocap) are fixed to the ground ({model.nmocap})."
+def _joints_on(model: Model, body: int) -> range:
+    return range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+
+
+def _is_link_itself(model: Model, joint: int) -> bool:
+    """Whether a joint needs no body of its own: it has no name, and is the only one of its link, at its origin."""
+    is_alone = model.body_jntnum[model.jnt_bodyid[joint]] == 1
+    return is_alone and not model.joint(joint).name and not np.any(model.jnt_pos[joint])
+
+
+def _read_body(model: Model, body: int, joints: dict[int, str], reading: Reading) -> None:
+    """Read a link, and before it the bodies of its joints, each about its anchor."""
+    parent = _link_name(model, int(model.body_parentid[body]))
+    position, turned = model.body_pos[body], _rotation(model.body_quat[body])
+    mine: Any = Fixed()
+    for joint in _joints_on(model, body):
+        kind, axis = model.jnt_type[joint], model.jnt_axis[joint]
+        reference = float(model.qpos0[model.jnt_qposadr[joint]])
+        anchor = model.jnt_pos[joint] if kind in (_BALL, _HINGE) else np.zeros(3)
+        if kind == _FREE:
+            # Its coordinates are those of the world.
+            position, turned = np.zeros(3), Rotation.identity()
+        position = position + turned.apply(anchor)
+        if kind == _SLIDE:
+            position = position - turned.apply(axis) * reference
+        if kind == _HINGE:
+            turned = turned * Rotation.from_rotvec(-reference * axis)
+        if _is_link_itself(model, joint):
+            mine = _joint(model, joint)
+            break
+        reading.carrier(joints[joint], parent, _joint(model, joint), (geometry(position), orientation(turned)))
+        parent, position, turned = joints[joint], -anchor, Rotation.identity()
+    inertia = moments(np.diag(model.body_inertia[body]), _rotation(model.body_iquat[body]))
+    place = geometry(position), orientation(turned)
+    mass, center = float(model.body_mass[body]), geometry(model.body_ipos[body])
+    reading.link(_link_name(model, body), parent, mine, place, mass, center, inertia)
+
+
+def _joint(model: Model, joint: int) -> AbstractJoint:
+    kind = model.jnt_type[joint]
+    if kind in (_FREE, _BALL):
+        return Free() if kind == _FREE else Ball()
+    speed = model.jnt_dofadr[joint]
+    stiffness = 0 if _is_disabled(model, "SPRING") else float(model.jnt_stiffness[joint])
+    damping = 0 if _is_disabled(model, "DAMPER") else float(model.dof_damping[speed])
+    return (Prismatic if kind == _SLIDE else Revolute)(
+        geometry(model.jnt_axis[joint]),
+        damping=damping or 0,
+        stiffness=stiffness or 0,
+        rest=float(model.qpos_spring[model.jnt_qposadr[joint]]) or 0,
+        armature=float(model.dof_armature[speed]) or 0,
+    )
+
+
+def _rotation(quaternion: np.ndarray) -> Rotation:
+    return Rotation.from_quat(quaternion, scalar_first=True)
+
+
+# --- Equations --------------------------------------------------------------------------------------------------------
+
+
+class _End(NamedTuple):
+    """A frame that an equation binds: of a body, in whose frame it has a position and a rotation."""
+
+    body: int
+    position: Float[np.ndarray, "3"]
+    turned: Rotation = Rotation.identity()
+
+
+def _equations(
+    model: Model, joints: dict[int, str], reading: Reading
+) -> tuple[dict[str, Closure], dict[str, Coupling]]:
+    """The active equations that a robot holds, by name; the others are an effect.
+
+    A weld of a loop in one plane is not held: it would say three things twice, and so leave its forces undetermined.
+    """
+    loops, couplings, others = dict[str, Closure](), dict[str, Coupling](), reading.effects.setdefault("equality", [])
+    if _is_disabled(model, "CONSTRAINT", "EQUALITY"):
+        return loops, couplings
+    for index in np.flatnonzero(model.eq_active0).tolist():
+        name, kind = model.equality(index).name or f"equality_{index}", model.eq_type[index]
+        if "equality" in reading.left_out or kind not in (_CONNECT, _WELD, _JOINT):
+            others.append(f"equality '{name}'")
+            continue
+        if kind == _JOINT:
+            couplings[name] = _coupling(model, name, index, joints)
+            continue
+        ends = _ends(model, index)
+        between = _joints_between(model, ends)
+        axis = _plane(model, between)
+        if not between:
+            reading.notes.append(f"Equality '{name}' says nothing: its bodies do not move against one another.")
+        elif kind == _WELD and axis is not None:
+            others.append(f"equality '{name}'")
+        else:
+            loops[name] = _closure(model, name, ends, axis, is_weld=kind == _WELD)
+    if loops or couplings:
+        reading.notes.append(f"Equations hold exactly, where MuJoCo yields: {', '.join([*loops, *couplings])}.")
+    if asleep := int(np.sum(model.eq_active0 == 0)):
+        reading.notes.append(f"Equations that are not active at the start are not read ({asleep}).")
+    return loops, couplings
+
+
+def _coupling(model: Model, name: str, index: int, joints: dict[int, str]) -> Coupling:
+    ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    rest, leader_rest = (float(model.qpos0[model.jnt_qposadr[joint]]) or 0 if joint >= 0 else 0 for joint in ends)
+    return Coupling(
+        name,
+        follower=joints[ends[0]],
+        leader=joints.get(ends[1]),
+        coefficients=geometry(model.eq_data[index, :5]),
+        rest=rest,
+        leader_rest=leader_rest,
+    )
+
+
+def _closure(model: Model, name: str, ends: tuple[_End, _End], axis: Any, *, is_weld: bool) -> Closure:
+    outer, inner = ends
+    joint: Any = Fixed() if is_weld else Ball()
+    if axis is not None:
+        own = _posture(model).xmat[outer.body].reshape(3, 3).T @ axis
+        along = int(np.argmax(np.abs(own)))
+        # An axis of coordinates by its name, whatever its sense.
+        joint = Revolute("xyz"[along] if abs(own[along]) > 1 - _SAME else geometry(own))
+    turned = [orientation(end.turned) if is_weld else (0, 0, 0) for end in ends]
+    return Closure(
+        name,
+        parent=_link_name(model, outer.body),
+        child=_link_name(model, inner.body),
+        joint=joint,
+        position=geometry(outer.position),
+        child_position=geometry(inner.position),
+        orientation=turned[0],
+        child_orientation=turned[1],
+        planar=axis is not None,
+    )
+
+
+def _ends(model: Model, index: int) -> tuple[_End, _End]:
+    """What an equation binds, as MuJoCo's engine takes its numbers."""
+    numbers, pair = model.eq_data[index], [int(model.eq_obj1id[index]), int(model.eq_obj2id[index])]
+    if model.eq_objtype[index] == _library().mjtObj.mjOBJ_SITE:
+        at = [(int(model.site_bodyid[i]), model.site_pos[i], _rotation(model.site_quat[i])) for i in pair]
+        return _End(*at[0]), _End(*at[1])
+    if model.eq_type[index] == _WELD:
+        return _End(pair[0], numbers[3:6], _rotation(numbers[6:10])), _End(pair[1], numbers[:3])
+    return _End(pair[0], numbers[:3]), _End(pair[1], numbers[3:6])
+
+
+def _joints_between(model: Model, ends: tuple[_End, _End]) -> list[int]:
+    """The joints by which two bodies move against one another."""
+    chains: list[set[int]] = []
+    for body, *_ in ends:
+        chains.append(set())
+        while body:
+            chains[-1].add(body)
+            body = int(model.body_parentid[body])
+    return [joint for body in sorted(chains[0] ^ chains[1]) for joint in _joints_on(model, body)]
+
+
+def _plane(model: Model, between: Sequence[int]) -> Float[np.ndarray, "3"] | None:
+    """The direction, in the world's axes, across a plane to which joints confine a loop; None for a loop in space."""
+    hinges = [joint for joint in between if model.jnt_type[joint] == _HINGE]
+    if not hinges or any(model.jnt_type[joint] not in (_SLIDE, _HINGE) for joint in between):
+        return None
+    directions = _posture(model).xaxis
+    axis = directions[hinges[0]]
+    for joint in between:
+        is_slide = model.jnt_type[joint] == _SLIDE
+        if np.max(np.abs(directions[joint] @ axis if is_slide else np.cross(directions[joint], axis))) > _SAME:
+            return None
+    return axis
+
+
+def _posture(model: Model) -> Any:
+    """MuJoCo's data in the reference posture."""
+    data = _library().MjData(model)
+    _library().mj_kinematics(model, data)
+    return data

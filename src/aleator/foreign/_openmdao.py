@@ -4,6 +4,7 @@ import functools
 import math
 import re
 from collections.abc import Collection, Iterable
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -72,38 +73,37 @@ def _component() -> Any:
 
         def __init__(self, problem: Problem, declared: bool):
             super().__init__()
-            self._transcribed, self._declared = transcribe(problem), declared
-            places, constraints = self._transcribed.places, self._transcribed.problem.constraints
-            self._decisions = dict(zip(_names(places.decisions), places.decisions.values(), strict=True))
+            transcribed = transcribe(problem)
+            constraints = transcribed.problem.constraints
+            self._program, self._declared = transcribed.program, declared
+            decisions = transcribed.places.decisions
+            self._decisions = dict(zip(_names(decisions), decisions.values(), strict=True))
             limits = _names((constraint.name for constraint in constraints), taken=self._decisions)
-            self._rows: dict[str, slice] = dict(zip(limits, self._transcribed.rows, strict=True))
-            units = [number_unit(name, problem) for name in places.decisions]
-            units += [
-                expression.unit(units_of(expression, problem))
-                for expression in (problem.objective, *(constraint.expression for constraint in constraints))
-            ]
+            self._rows: dict[str, slice] = dict(zip(limits, transcribed.rows, strict=True))
+            expressions = [problem.objective, *(constraint.expression for constraint in constraints)]
+            units = [number_unit(name, problem) for name in decisions]
+            units += [expression.unit(units_of(expression, problem)) for expression in expressions]
             names = (*self._decisions, _OBJECTIVE, *self._rows)
             self._units = dict(zip(names, map(as_in_openmdao, units), strict=True))
 
         def setup(self) -> None:
             """Declare inputs, outputs and partials; with `declared`, the optimisation too."""
-            program = self._transcribed.program
+            program = self._program
             for name, place in self._decisions.items():
                 self.add_input(name, val=np.array(place.decision.initial, dtype=float), units=self._units[name])
+                if self._declared:
+                    lower, upper = program.lower[place.where], program.upper[place.where]
+                    self.add_design_var(name, lower=lower, upper=upper, ref=program.variable_scale[place.where])
             self.add_output(_OBJECTIVE, val=0.0, units=self._units[_OBJECTIVE])
+            if self._declared:
+                self.add_objective(_OBJECTIVE)
             for name, rows in self._rows.items():
                 self.add_output(name, shape=(rows.stop - rows.start,), units=self._units[name])
+                if self._declared:
+                    lower, upper = program.constraint_lower[rows], program.constraint_upper[rows]
+                    bounds = {"equals": lower} if np.array_equal(lower, upper) else {"lower": lower, "upper": upper}
+                    self.add_constraint(name, ref=program.constraint_scale[rows], **bounds)
             self.declare_partials("*", "*")
-            if not self._declared:
-                return
-            for name, place in self._decisions.items():
-                lower, upper = program.lower[place.where], program.upper[place.where]
-                self.add_design_var(name, lower=lower, upper=upper, ref=program.variable_scale[place.where])
-            self.add_objective(_OBJECTIVE)
-            for name, rows in self._rows.items():
-                lower, upper = program.constraint_lower[rows], program.constraint_upper[rows]
-                bounds = {"equals": lower} if np.array_equal(lower, upper) else {"lower": lower, "upper": upper}
-                self.add_constraint(name, ref=program.constraint_scale[rows], **bounds)
 
         def compute(self, inputs: Any, outputs: Any) -> None:
             """The objective and all constraints at some decisions."""
@@ -128,7 +128,7 @@ def _component() -> Any:
                     "step. Its partials are exact by themselves: check them by check_partials(method='fd'), and "
                     "approximate a model that contains it by method='fd'."
                 )
-            found = self._transcribed.program.evaluate(decisions)
+            found = self._program.evaluate(decisions)
             if not found.is_finite:
                 values = {name: np.array(inputs[name]) for name in self._decisions}
                 raise om.AnalysisError(f"The model has no finite values or derivatives at {values}.")
@@ -143,11 +143,8 @@ def _names(given: Iterable[str], taken: Collection[str] = ()) -> list[str]:
     for name in given:
         plain = re.sub(r"[^\w:]+", "_", name.replace(".", ":")).strip("_") or "constraint"
         plain = plain if plain[0].isalpha() else f"of_{plain}"
-        count, free = 1, plain
-        while free in (*found, *taken, _OBJECTIVE):
-            count += 1
-            free = f"{plain}_{count}"
-        found.append(free)
+        free = (f"{plain}_{i}" if i > 1 else plain for i in count(1))
+        found.append(next(one for one in free if one not in (*found, *taken, _OBJECTIVE)))
     return found
 
 

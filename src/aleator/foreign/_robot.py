@@ -1,7 +1,7 @@
-"""`Robot`: the tree of bodies that a file describes, and what its readers share: XML, sentences, effects left out."""
+"""`Robot`: the tree of bodies that a file describes, and `Reading`, which the readers of all formats fill."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import chain, count
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, final
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -15,14 +15,14 @@ from typing_extensions import override
 from aleator._core.border import content_of, members, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.mechanics import Body, Closure, Coupling, Fixed, Multibody
+from aleator.mechanics import Body, Closure, Coupling, Multibody
 from aleator.mechanics._bodies import sorted_bodies
 
 Key = TypeVar("Key", int, str)
 # The rounding error of a rotation matrix, whose zeros and ones are not exact.
 _ROUNDING = 1e-15
-_READERS = {"robot": "al.foreign.read_urdf", "mujoco": "al.foreign.read_mjcf"}
-EFFECTS: Mapping[str, str] = {
+# The effects that can be left out, and what they are.
+_EFFECTS: Mapping[str, str] = {
     "friction": "dry friction; put a smooth law into `bias` of a model of your own",
     "mimic": "a coordinate that follows another one; add a constraint to a model of your own",
     "extensions": "attributes that the format does not have; replace numbers of the robot that is read without them",
@@ -36,7 +36,6 @@ EFFECTS: Mapping[str, str] = {
     "flex": "deformable bodies",
     "plugins": "plugins of bodies",
 }
-"""The effects that can be left out, and what they are."""
 
 
 @final
@@ -74,15 +73,8 @@ class Robot(Multibody):
     posture: tuple[tuple[str, float], ...] = eqx.field(static=True, default=(), kw_only=True)
     notes: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
 
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """The lowest and the highest value that the file allows, by the names of outputs."""
-        return dict(self.allowed)
-
-    @property
-    def start(self) -> dict[str, float]:
-        """The coordinates in the file's own posture, where they are not zero."""
-        return dict(self.posture)
+    limits = property(lambda self: dict(self.allowed))
+    start = property(lambda self: dict(self.posture))
 
     @override
     def bodies(self) -> Sequence[Body]:
@@ -94,27 +86,87 @@ class Robot(Multibody):
         return tuple(held[name] for name in (*sorted(self.loops), *sorted(self.couplings)))
 
 
-def robot_of(
-    path: str | Path, bodies: Iterable[Body], *, limits: Mapping[str, tuple[float, float]], **fields: Any
-) -> Robot:
-    """The robot of some bodies, with further `fields`.
+@final
+class Reading:
+    """What a reader has found in a file: `bodies`, `limits` by output, `notes`, and `effects` without a place in a tree
+    of bodies, by name with the elements that have them.
 
-    Raises `ProblemError` for bodies that cannot be, for what is no tree, and for a joint that moves no mass.
+    Raises `ProblemError` for effects to leave out that there are not.
     """
-    try:
-        bodies = sorted_bodies(bodies)
-    except ProblemError as error:
-        raise broken(path, "", str(error)) from error
-    carried = {body.name: float(body.mass) for body in bodies}
-    for body in reversed(bodies):
-        if body.parent is not None:
-            carried[body.parent] += carried[body.name]
-    for body in bodies:
-        if not (isinstance(body.joint, Fixed) or getattr(body.joint, "armature", 0) or carried[body.name]):
-            what = "expected a joint that moves some mass; received none, neither in its link nor beyond"
-            raise broken(path, f"joint '{body.name}'", f"{what}. Give the link an <inertial>, or fix the joint.")
-    order = tuple(body.name for body in bodies)
-    return Robot({body.name: body for body in bodies}, order=order, allowed=tuple(limits.items()), **fields)
+
+    def __init__(self, reader: str, path: str | Path, leave_out: Any):
+        self._reader, self._path = reader, path
+        self.left_out = members(f"{reader}: leave_out", [leave_out] if isinstance(leave_out, str) else leave_out, str)
+        if unknown := [name for name in self.left_out if name not in _EFFECTS]:
+            raise refusal(f"{reader}: leave_out", f"some of {sorted(_EFFECTS)}", unknown[0])
+        self.bodies: list[Body] = []
+        self.limits: dict[str, tuple[float, float]] = {}
+        self.notes: list[str] = []
+        self.effects: dict[str, list[str]] = {}
+
+    def broken(self, where: str, what: str) -> ProblemError:
+        """The error that names the file, an element in it, and what is wrong there."""
+        return ProblemError(f"{self._path}, {where}: {what}" if where else f"{self._path}: {what}")
+
+    @contextmanager
+    def naming(self, where: str) -> Iterator[None]:
+        """Have errors of a block say in which element they arose."""
+        try:
+            yield
+        except ProblemError as error:
+            raise self.broken(where, str(error)) from error
+
+    def root(self, outermost: str) -> Element:
+        """The outermost element of the file. Raises `ProblemError` where it cannot be read, or has another name.
+
+        Without namespaces: robots' files use prefixes, such as those of other programs, that they do not declare.
+        """
+        builder, parser = TreeBuilder(), expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+        parser.CharacterDataHandler = builder.data
+        try:
+            parser.Parse(content_of(self._path), True)
+        except TypeError as error:
+            raise refusal(self._reader, "the path of a file", self._path) from error
+        except (OSError, ValueError, LookupError, expat.ExpatError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise self.broken("", f"expected a file of XML that can be read; received: {reason}.") from error
+        root = builder.close()
+        if root.tag != outermost:
+            raise self.broken("", f"expected <{outermost}> as the outermost element; received <{root.tag}>.")
+        return root
+
+    def link(self, name: str, parent: str | None, joint: Any, place: Any, *weight: Any) -> None:
+        """Add a body. `place`: its position and orientation; `weight`: mass, center, and moments by `moments`."""
+        mass, center, inertia = weight
+        where = {"position": place[0], "orientation": place[1]}
+        with self.naming(f"link '{name}'"):
+            body = Body(name, parent=parent, joint=joint, mass=mass or 0, center=center, inertia=inertia, **where)
+        self.bodies.append(body)
+
+    def carrier(self, name: str, parent: str | None, joint: Any, place: Any) -> None:
+        """Add a body without mass that a joint moves, and with it what is fixed to it."""
+        self.link(name, parent, joint, place, 0, (0, 0, 0), (0, 0, 0))
+
+    def robot(self, **fields: Any) -> Robot:
+        """The robot, with further fields.
+
+        Raises `ProblemError` for what is no tree, and for an effect that is not left out.
+        """
+        shown: dict[str, str] = {}
+        for name, elements in self.effects.items():
+            if found := list(dict.fromkeys(elements)):
+                shown[name] = ", ".join(found[:3]) + f" and {len(found) - 3} more" * (len(found) > 3)
+        if missing := tuple(name for name in shown if name not in self.left_out):
+            what = f"a tree of bodies has no place for {_EFFECTS[missing[0]]}"
+            advice = f"Or read the robot without it by leave_out={missing!r}."
+            raise self.broken(shown[missing[0]], f"{what}. {advice}")
+        left_out = [f"Left out, as asked: {name} ({elements})." for name, elements in shown.items()]
+        limits = ["Limits are in robot.limits; nothing enforces them."] * bool(self.limits)
+        with self.naming(""):
+            parts = {body.name: body for body in sorted_bodies(self.bodies)}
+        notes = (*left_out, *self.notes, *limits)
+        return Robot(parts, order=tuple(parts), allowed=tuple(self.limits.items()), notes=notes, **fields)
 
 
 def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str]:
@@ -122,15 +174,9 @@ def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str
     found: dict[Key, str] = {}
     for joint, name in joints.items():
         taken = {*links, *joints.values(), *found.values()}
-        others = chain((f"{name}_joint",), (f"{name}_joint_{i}" for i in count(2)))
+        others = (f"{name}_joint{end}" for end in ("", *(f"_{i}" for i in range(2, len(taken) + 3))))
         found[joint] = name if name not in links else next(other for other in others if other not in taken)
     return found
-
-
-def carrier(name: str, parent: str | None, joint: Any, position: Any, orientation: Any) -> Body:
-    """A body without mass that a joint moves, and with it what is fixed to it."""
-    still = {"mass": 0, "center": (0, 0, 0), "inertia": (0, 0, 0)}
-    return Body(name, parent=parent, joint=joint, position=position, orientation=orientation, **still)
 
 
 def geometry(numbers: Any) -> Any:
@@ -158,55 +204,3 @@ def moments(matrix: Any, turned: Rotation) -> Any:
         matrix = turned.as_matrix() @ matrix @ turned.as_matrix().T
     numbers = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return numbers if np.any(numbers[3:]) else numbers[:3]
-
-
-def broken(path: str | Path, where: str, what: str) -> ProblemError:
-    """The error that names a file, an element in it, and what is wrong there."""
-    return ProblemError(f"{path}, {where}: {what}" if where else f"{path}: {what}")
-
-
-def root_of(reader: str, path: str | Path, outermost: str) -> Element:
-    """The outermost element of a file. Raises `ProblemError` where it cannot be read, or has another name.
-
-    Without namespaces: robots' files use prefixes, such as those of other programs, that they do not declare.
-    """
-    builder, parser = TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(content_of(path), True)
-    except TypeError as error:
-        raise refusal(reader, "the path of a file", path) from error
-    except (OSError, ValueError, LookupError, expat.ExpatError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise broken(path, "", f"expected a file of XML that can be read; received: {reason}.") from error
-    root = builder.close()
-    if root.tag != outermost:
-        other = f" Read it by {_READERS[root.tag]}." if root.tag in _READERS else ""
-        raise broken(path, "", f"expected <{outermost}> as the outermost element; received <{root.tag}>.{other}")
-    return root
-
-
-def checked_effects(reader: str, given: Any) -> frozenset[str]:
-    """The effects that a user leaves out. Raises `ProblemError` for what is none."""
-    names = members(f"{reader}: leave_out", [given] if isinstance(given, str) else given, str)
-    if unknown := [name for name in names if name not in EFFECTS]:
-        raise refusal(f"{reader}: leave_out", f"some of {sorted(EFFECTS)}", unknown[0])
-    return frozenset(names)
-
-
-def refuse_effects(
-    path: str | Path, effects: Mapping[str, Iterable[str]], left_out: Collection[str]
-) -> tuple[str, ...]:
-    """Notes on effects, by name with the elements that have them, if any do.
-
-    Raises `ProblemError` for one that is not left out.
-    """
-    shown: dict[str, str] = {}
-    for name, elements in effects.items():
-        if found := list(dict.fromkeys(elements)):
-            shown[name] = ", ".join(found[:3]) + f" and {len(found) - 3} more" * (len(found) > 3)
-    if missing := tuple(name for name in shown if name not in left_out):
-        what = f"a tree of bodies has no place for {EFFECTS[missing[0]]}"
-        raise broken(path, shown[missing[0]], f"{what}. Or read the robot without it by leave_out={missing!r}.")
-    return tuple(f"Left out, as asked: {name} ({elements})." for name, elements in shown.items())

@@ -1,14 +1,12 @@
-"""What SymPy gives: expressions, against the symbols and numbers that they may have, and their programs in JAX.
+"""What SymPy gives: expressions, the symbols and numbers that they may have, and their programs in JAX.
 
 A program is plain text: equal models are equal, and can be pickled.
 """
 
 import contextlib
 import functools
-import math
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -36,9 +34,15 @@ def load_sympy(who: str) -> Any:
     return [optional(library, who, "'aleator[sympy]'") for library in ("sympy.physics.mechanics", "sympy")][1]
 
 
-def structure(field: str, name: str, kind: Callable[[Any], Any] = tuple) -> Any:
-    """A property of a system of SymPy that its structure, in a field, has under this name."""
-    return property(lambda system: kind(getattr(getattr(system, field), name)))
+def time_symbol() -> Any:
+    """The time of SymPy's mechanics."""
+    mechanics: Any = load_sympy("from_sympy").physics.mechanics
+    return mechanics.dynamicsymbols._t
+
+
+def units_given(who: str, units: Any) -> dict[str, str]:
+    """Units of outputs by name."""
+    return dict(one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}"))
 
 
 # --- Expressions and what they contain --------------------------------------------------------------------------------
@@ -67,7 +71,7 @@ def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
 class Contents(NamedTuple):
     """What some expressions contain, each in the order of its name.
 
-    - `functions`: functions of time without an equation of their own, such as `q(t)`; `derivatives` of these;
+    - `functions`: functions of time, such as `q(t)`; `derivatives` of these;
     - `symbols`: plain symbols, the time too where it stands outside of functions.
     """
 
@@ -98,15 +102,8 @@ def refuse_others(what: str, expressions: Iterable[Any], known: Collection[Any],
     found = contents_of(what, expressions)
     for part in (*found.derivatives, *found.functions, *found.symbols):
         if part not in known:
-            names = sorted(map(str, known))
-            listed = f"{', '.join(names[:8])}{', ...' * (len(names) > 8)}" or "none"
-            raise ProblemError(f"{what}: expected no other symbols than {listed}; received {part}. {remedy}")
-
-
-def time_symbol() -> Any:
-    """The time of SymPy's mechanics."""
-    mechanics: Any = load_sympy("from_sympy").physics.mechanics
-    return mechanics.dynamicsymbols._t
+            listed = ", ".join(sorted(map(str, known))[:8]) + ", ..." * (len(known) > 8)
+            raise ProblemError(f"{what}: expected no other symbols than {listed or 'none'}; received {part}. {remedy}")
 
 
 # --- Symbols and their numbers ----------------------------------------------------------------------------------------
@@ -116,19 +113,7 @@ def name_of(symbol: Any) -> str:
     """The name of a symbol, or of a function of time without its argument: `q`; `q_rate` of its derivative."""
     if symbol.is_Derivative:
         return f"{name_of(symbol.expr)}_rate"
-    return symbol.func.__name__ if getattr(symbol, "args", ()) else symbol.name
-
-
-def names_of(who: str, moving: Sequence[Any], parameters: Sequence[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The names of symbols that move, and of parameters. Raises `ProblemError` where two have the same."""
-    found: dict[str, Any] = {}
-    for symbol in (*moving, *parameters):
-        if found.setdefault(name_of(symbol), symbol) != symbol:
-            raise ProblemError(
-                f"{who}: two different symbols are called '{name_of(symbol)}'. Rename one; symbols with other "
-                "assumptions, such as Symbol('m') and Symbol('m', positive=True), are different."
-            )
-    return tuple(map(name_of, moving)), tuple(map(name_of, parameters))
+    return symbol.func.__name__ if symbol.args else symbol.name
 
 
 def symbols_given(what: str, given: Any) -> dict[Any, Any]:
@@ -140,46 +125,51 @@ def symbols_given(what: str, given: Any) -> dict[Any, Any]:
     return dict(given)
 
 
-def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any]) -> dict[str, Any]:
-    """The number, distribution or decision of each parameter, by name; a signal may be that of a function of time.
+def numbers_by_name(
+    who: str, moving: Sequence[Any], parameters: Sequence[Any], given: Mapping[Any, Any]
+) -> dict[str, Any]:
+    """The number, distribution, decision or signal of each parameter.
 
-    Raises `ProblemError` for a parameter without one, for numbers of symbols that nothing contains, and for numbers
-    that contradict their symbol's assumptions, by which SymPy has simplified.
+    Raises `ProblemError` for two symbols of one name, also among those that are `moving`, for a parameter without a
+    number, for numbers of symbols that nothing contains, and for numbers that contradict their symbol's assumptions.
     """
-    refuse_unknown(f"{who}: numbers", given, symbols)
-    if missing := sorted(name_of(symbol) for symbol in symbols if symbol not in given):
-        raise ProblemError(
-            f"{who}: expected a number, a distribution or a decision for each parameter in numbers; received none for "
-            f"{missing}."
-        )
-    return {name_of(symbol): number_of(who, "number", symbol, given[symbol]) for symbol in symbols}
+    symbols: dict[str, Any] = {}
+    for symbol in (*moving, *parameters):
+        if symbols.setdefault(name_of(symbol), symbol) != symbol:
+            raise ProblemError(
+                f"{who}: two different symbols are called '{name_of(symbol)}'. Rename one; symbols with other "
+                "assumptions, such as Symbol('m') and Symbol('m', positive=True), are different."
+            )
+    refuse_unknown(f"{who}: numbers", given, parameters)
+    if missing := sorted(name_of(symbol) for symbol in parameters if symbol not in given):
+        raise ProblemError(f"{who}: expected numbers for all parameters; received none for {missing}.")
+    return {name_of(symbol): number_of(f"{who}: the number", symbol, given[symbol]) for symbol in parameters}
 
 
-def number_of(who: str, what: str, symbol: Any, given: Any) -> Any:
-    """One number of a symbol. Raises `ProblemError` for what is none, or contradicts what SymPy assumes of it."""
-    name = name_of(symbol)
-    if is_signal := isinstance(given, AbstractSignal) and what == "number":
-        if not symbol.is_Function:
-            # Its rate would be missing wherever SymPy has differentiated by time.
-            raise refusal(f"{who}: '{name}'", "a constant; signals are for functions of time (dynamicsymbols)", given)
+def number_of(who: str, symbol: Any, given: Any) -> Any:
+    """The number of a symbol, or the signal of a function of time.
+
+    Raises `ProblemError` for what is none, or contradicts the assumptions by which SymPy has simplified.
+    """
+    what = f"{who} of '{name_of(symbol)}'"
+    if isinstance(given, AbstractSignal):
         shape = given.shape if isinstance(given, AbstractTrajectory) else ()
-    else:
-        shape = () if isinstance(given, AbstractLeaf) else realised_shape(given)
-    if shape != ():
-        raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape}.")
-    if is_signal:
+        # The rate of a plain symbol would be missing wherever SymPy has differentiated by time.
+        if not symbol.is_Function or shape:
+            raise refusal(what, "one constant; signals are for functions of time (dynamicsymbols)", given)
         return given
-    number = stored_numbers(f"{who}: {what} of '{name}'", given)
-    _refuse_contradiction(who, symbol, number)
+    if not isinstance(given, AbstractLeaf) and realised_shape(given):
+        raise refusal(what, "one number", given)
+    number = stored_numbers(what, given)
+    low, high = lowest(number), highest(number)
+    if low is not None and high is not None:  # not traced: then it has been looked at before
+        _refuse_contradiction(what, symbol, low, high)
     return number
 
 
-def _refuse_contradiction(who: str, symbol: Any, number: Any) -> None:
-    """Raise `ProblemError` if a number can take a value that contradicts what SymPy assumes of its symbol."""
-    low, high = lowest(number), highest(number)
-    if low is None or high is None:  # traced: it has been looked at before
-        return
-    sympy = load_sympy(who)
+def _refuse_contradiction(what: str, symbol: Any, low: float, high: float) -> None:
+    """Raise `ProblemError` if a number in a range can take a value that contradicts what SymPy assumes."""
+    sympy = load_sympy(what)
     # A range has its ends, zero between them, and a number that is not whole.
     ends = np.nan_to_num([low, high], posinf=1e6, neginf=-1e6)
     values = [*ends.tolist(), *([0.0] if low < 0 < high else ()), *([float(ends @ _GOLDEN)] if low < high else ())]
@@ -188,32 +178,21 @@ def _refuse_contradiction(who: str, symbol: Any, number: Any) -> None:
     assumed = {**getattr(symbol, "_assumptions_orig", {}), **symbol.assumptions0}
     for kind, holds in assumed.items():
         if any(getattr(value, f"is_{kind}") is (not holds) for value in exact):
+            range_of = f"{low:g}" if low == high else f"a range from {low:g} to {high:g}"
             raise ProblemError(
-                f"{who}: SymPy takes '{name_of(symbol)}' to be {'' if holds else 'not '}{kind}, and simplifies by it; "
-                f"received {shown(low if low == high else number)}. Change the number, or the assumption of the symbol."
+                f"{what}: SymPy takes '{name_of(symbol)}' to be {'' if holds else 'not '}{kind}, and simplifies by it; "
+                f"received {range_of}. Change the number, or the assumption of the symbol."
             )
 
 
 def refuse_unknown(what: str, symbols: Iterable[Any], known: Collection[Any]) -> None:
     """Raise `ProblemError` for the first of `symbols` that is not `known`."""
-    names = [name_of(other) for other in known]
     for symbol in symbols:
         if symbol not in known:
-            why = (
-                " is another symbol than the model's of this name: one is a function of time, or their assumptions "
-                "differ. Use the very same symbol."
-                if name_of(symbol) in names
-                else f" is not known.{meant(name_of(symbol), names)} Expected some of {names}."
-            )
-            raise ProblemError(f"{what}: '{symbol}'{why}")
-
-
-def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str, str], ...]:
-    """Units of outputs. Raises `ProblemError` for units of anything else."""
-    given = one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}")
-    if unknown := [name for name in given if name not in outputs]:
-        raise ProblemError(f"{who}: units has {unknown[0]!r}, which is no output.{meant(f'{unknown[0]}', outputs)}")
-    return tuple(given.items())
+            names = [name_of(other) for other in known]
+            hint = " It is another symbol than the model's of this name, with other assumptions, or of other kind."
+            hint = hint if name_of(symbol) in names else meant(name_of(symbol), names)
+            raise ProblemError(f"{what}: '{symbol}' is not known; expected some of {names}.{hint}")
 
 
 # --- Programs ---------------------------------------------------------------------------------------------------------
@@ -221,70 +200,59 @@ def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str
 
 @dataclass(frozen=True)
 class Program:
-    """Some expressions as a function of numbers: `text` defines `value`, which takes a sequence of these.
+    """`count` expressions as a function of numbers: `text` defines `value`, which takes a sequence of these.
 
     - `names`: those of the expressions, if they have any.
     """
 
     text: str
+    count: int
     names: tuple[str, ...] = ()
 
-    def __call__(self, values: Any) -> list[Array]:
+    def __call__(self, values: Sequence[Any]) -> list[Array]:
         """The value of each expression, scalars."""
         return [jnp.asarray(value, dtype=float) for value in _function(self.text)(values)]
 
-    def by_name(self, values: Any) -> dict[str, Array]:
+    def by_name(self, values: Sequence[Any]) -> dict[str, Array]:
         """The value of each expression, by its name."""
         return dict(zip(self.names, self(values), strict=True))
 
 
-def written(who: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
+def written(what: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
     """The program of some expressions, or of expressions by name, as a function of the values of `symbols` in order.
 
-    Raises `ProblemError` for other symbols, with a `remedy`, for what JAX has no function for, and for numbers that are
-    not real and finite.
+    Raises `ProblemError` for other symbols, with a `remedy`, for complex numbers, and for functions that JAX lacks.
     """
-    sympy, symbols = load_sympy(who), list(symbols)
+    sympy, symbols = load_sympy(what), list(symbols)
     names, expressions = (tuple(given), list(given.values())) if isinstance(given, Mapping) else ((), list(given))
-    refuse_others(who, expressions, symbols, remedy)
+    refuse_others(what, expressions, symbols, remedy)
     # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers. The text has the symbols'
     # places, whatever they are called.
     real = {symbol: sympy.Symbol(f"v[{i}]", real=True) for i, symbol in enumerate(symbols)}
     plain = [expression.xreplace(real) for expression in expressions]
     plain = [expression.doit() if expression.has(sympy.Derivative) else expression for expression in plain]
     for ours, theirs in zip(plain, expressions, strict=True):
-        infinite = any(math.isinf(float(number)) for number in ours.atoms(sympy.Float, sympy.Rational))
-        if infinite or ours.has(sympy.I, sympy.oo, sympy.zoo, sympy.nan):
-            raise ProblemError(f"{who}: expected real numbers below 1e308; received {str(theirs)[:80]}.")
-    program = _program(plain)
-    if not _is_traceable(program):
-        parts = [part for one in plain for part in sympy.postorder_traversal(one) if isinstance(part, sympy.Expr)]
-        # Of nested functions the innermost is the one that is not known; what is summed over is no number of a model.
-        parts = [part for part in parts if part.free_symbols <= {*real.values()}]
-        unknown = next(part for part in parts if not _is_traceable(_program([part])))
+        if ours.has(sympy.I, sympy.oo, sympy.zoo, sympy.nan):
+            raise refusal(what, "finite real numbers", theirs)
+    try:
+        program = Program(_text(plain), len(plain), names)
+        jax.eval_shape(lambda number: program([number] * len(symbols)), 0.5)
+    except Exception as error:  # whatever Python and JAX raise for what they do not know, or cannot trace
+        unknown = getattr(error, "name", None) or shown(str(error))
         raise ProblemError(
-            f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
-            "(expression.rewrite(...), .doit()), or write the model as an al.System."
-        )
-    return replace(program, names=names)
+            f"{what}: JAX has no function for {unknown}; rewrite it by elementary ones (expression.rewrite(...), "
+            ".doit()), or write the model as an al.System."
+        ) from error
+    return program
 
 
-def _program(expressions: Sequence[Any]) -> Program:
+def _text(expressions: Sequence[Any]) -> str:
     """Common subexpressions first."""
     sympy = load_sympy("")
     common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("x"))
     printed = _printer().doprint
     lines = [f"    {symbol} = {printed(part)}" for symbol, part in common]
-    return Program("\n".join(["def value(v):", *lines, f"    return [{', '.join(map(printed, reduced))}]"]))
-
-
-def _is_traceable(program: Program) -> bool:
-    """Whether JAX has all functions of a program, and traces it: no choice or loop of Python depends on a number."""
-    try:
-        jax.eval_shape(lambda number: program(defaultdict(lambda: number)), 0.5)
-    except Exception:  # whatever Python and JAX raise for what they cannot read or trace
-        return False
-    return True
+    return "\n".join(["def value(v):", *lines, f"    return [{', '.join(map(printed, reduced))}]"])
 
 
 @functools.lru_cache(maxsize=1024)

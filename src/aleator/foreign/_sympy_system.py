@@ -1,7 +1,7 @@
 """Differential equations and formulas of SymPy as systems."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,54 +19,45 @@ from aleator.foreign._sympy_expressions import (
     expressions_by_name,
     load_sympy,
     name_of,
-    names_of,
     number_of,
-    numbers_for,
+    numbers_by_name,
     refuse_unknown,
-    structure,
     symbols_given,
     time_symbol,
-    units_for,
+    units_given,
     written,
 )
 
 _WHO = "from_sympy"
 
 
-class _Equations(NamedTuple):
-    """Equations without their numbers: the structure, which determines what is compiled.
-
-    Programs take the states, the inputs, the parameters and the time; `outputs` the states' rates besides, and those of
-    states that are rates; `start`, the initial values of states, the parameters alone.
-    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit.
-    """
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    rates: Program
-    mass: Program | None
-    outputs: Program
-    start: Program
-    units: tuple[tuple[str, str], ...]
-
-
 @final
 @transparent("numbers")
 class SymPySystem(System):
-    """A system from differential equations of SymPy; made by `al.foreign.from_sympy`."""
+    """A system from differential equations of SymPy; made by `al.foreign.from_sympy`.
+
+    What is compiled is determined by its structure, which are all fields but `numbers` and `start`. Programs take the
+    states, the inputs, the parameters and the time; `formulas`, the outputs, the states' rates besides; `begins`, the
+    initial values that are expressions, the parameters alone.
+    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit.
+    """
 
     numbers: dict[str, Any]
     start: dict[str, Any]
-    equations: _Equations = eqx.field(static=True)
+    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment]
+    further_inputs: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment]
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    rates: Program = eqx.field(static=True)
+    mass: Program | None = eqx.field(static=True)
+    formulas: Program = eqx.field(static=True)
+    begins: Program = eqx.field(static=True)
+    declared: tuple[tuple[str, str], ...] = eqx.field(static=True)
 
-    states = structure("equations", "states")
-    further_inputs = structure("equations", "inputs")
-    units = structure("equations", "units", dict)
+    units = property(lambda self: dict(self.declared))  # type: ignore[assignment]
 
     @override
     def initial(self) -> Mapping[str, Any]:
-        return {**self.start, **self.equations.start.by_name(self._given())}
+        return {**self.start, **self.begins.by_name(self._parameters())}
 
     @override
     def rhs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[Array, ...]:
@@ -80,19 +71,19 @@ class SymPySystem(System):
     def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
         values = self._values(t, z, inputs)
         rates = self._rates(values)
-        return rates, self.equations.outputs.by_name([*values, *rates])
+        return rates, self.formulas.by_name([*values, *rates])
 
-    def _given(self) -> list[Any]:
-        return [self.numbers[name] for name in self.equations.parameters]
+    def _parameters(self) -> list[Any]:
+        return [self.numbers[name] for name in self.parameters]
 
     def _values(self, t: Any, z: Any, inputs: Mapping[str, Any]) -> list[Any]:
-        return [*z, *(inputs[name] for name in self.equations.inputs), *self._given(), t]
+        return [*z, *(inputs[name] for name in self.further_inputs), *self._parameters(), t]
 
     def _rates(self, values: Sequence[Any]) -> tuple[Array, ...]:
-        rates = self.equations.rates(values)
-        if self.equations.mass is None:
+        rates = self.rates(values)
+        if self.mass is None:
             return tuple(rates)
-        mass = jnp.stack(self.equations.mass(values)).reshape(len(rates), len(rates))
+        mass = jnp.stack(self.mass(values)).reshape(len(rates), len(rates))
         return tuple(jnp.linalg.solve(mass, jnp.stack(rates)))
 
 
@@ -130,12 +121,9 @@ def from_sympy(
         state: expression(f"{_WHO}: the rate of '{state}'", rate)
         for state, rate in symbols_given(f"{_WHO}: rates", rates).items()
     }
-    given = symbols_given(f"{_WHO}: numbers", numbers)
     states, size = tuple(rates), len(rates)
     if mass_matrix is not None and getattr(mass_matrix, "shape", None) != (size, size):
-        raise refusal(
-            f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", mass_matrix
-        )
+        raise refusal(f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size})", mass_matrix)
     mass = [expression(f"{_WHO}: mass_matrix", entry) for entry in ([] if mass_matrix is None else mass_matrix)]
     outputs = {name_of(state): state for state in states} if outputs is None else outputs
     formulas = expressions_by_name(f"{_WHO}: outputs", outputs)
@@ -145,13 +133,12 @@ def from_sympy(
         state: expression(f"{_WHO}: start", value) for state, value in begun.items() if isinstance(value, sympy.Basic)
     }
 
-    moving, begins = contents_of(_WHO, [*rates.values(), *mass]), contents_of(f"{_WHO}: start", follow.values())
-    shown = contents_of(f"{_WHO}: outputs", formulas.values())
-    inputs = [symbol for symbol in dict.fromkeys((*moving.functions, *shown.functions)) if symbol not in states]
-    symbols = {*moving.symbols, *shown.symbols, *begins.symbols} - {*states, time}
-    parameters = sorted(symbols, key=str)
-    names, parameter_names = names_of(_WHO, (*states, *inputs), parameters)
-    state_type(names[:size])
+    found = contents_of(_WHO, [*rates.values(), *mass, *formulas.values(), *follow.values()])
+    inputs = [symbol for symbol in found.functions if symbol not in states]
+    parameters = [symbol for symbol in found.symbols if symbol not in (*states, time)]
+    given = numbers_by_name(_WHO, (*states, *inputs), parameters, symbols_given(f"{_WHO}: numbers", numbers))
+    state_names = tuple(map(name_of, states))
+    state_type(state_names)
 
     # What derivatives in outputs mean: the first ones of states, and second ones where the first is a state. Plain
     # symbols have no derivatives by time: SymPy gives zero.
@@ -162,40 +149,29 @@ def from_sympy(
             slopes[state.diff(time, 2)] = dots[rate]
     known = [*states, *inputs, *parameters, time]
     unsolved = "Solve the equations for the rates (sympy.solve), or give their matrix as mass_matrix."
-    equations = _Equations(
-        states=names[:size],
-        inputs=names[size:],
-        parameters=parameter_names,
+    constant = {state: value for state, value in begun.items() if state not in follow}
+    return SymPySystem(
+        numbers=given,
+        start={name_of(state): number_of(f"{_WHO}: start", state, value) for state, value in constant.items()},
+        states=state_names,
+        further_inputs=tuple(map(name_of, inputs)),
+        parameters=tuple(given),
         rates=written(f"{_WHO}: rates", rates.values(), known, unsolved),
         mass=written(f"{_WHO}: mass_matrix", mass, known, unsolved) if mass else None,
-        outputs=written(
+        formulas=written(
             f"{_WHO}: outputs",
             {name: formula.xreplace(slopes) for name, formula in formulas.items()},
             [*known, *dots.values()],
             "Of derivatives, the rates of states may stand there; give an input's as an input of its own.",
         ),
-        start=written(
+        begins=written(
             f"{_WHO}: start",
             {name_of(state): value for state, value in follow.items()},
             parameters,
             "Give numbers, or expressions of parameters.",
         ),
-        units=units_for(_WHO, units, formulas),
+        declared=tuple(units_given(_WHO, units).items()),
     )
-    start_values = {
-        name_of(state): number_of(f"{_WHO}: start", "start", state, value)
-        for state, value in begun.items()
-        if state not in follow
-    }
-    return SymPySystem(numbers_for(_WHO, parameters, given), start_values, equations)
-
-
-class _Formulas(NamedTuple):
-    """Formulas without their numbers: the structure, which determines what is compiled."""
-
-    parameters: tuple[str, ...]
-    outputs: Program
-    units: tuple[tuple[str, str], ...]
 
 
 @final
@@ -204,13 +180,15 @@ class SymPyFormulas(AlgebraicSystem):
     """A system without time from formulas of SymPy; made by `al.foreign.from_sympy_formulas`."""
 
     numbers: dict[str, Any]
-    formulas: _Formulas = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    formulas: Program = eqx.field(static=True)
+    declared: tuple[tuple[str, str], ...] = eqx.field(static=True)
 
-    units = structure("formulas", "units", dict)
+    units = property(lambda self: dict(self.declared))  # type: ignore[assignment]
 
     @override
     def outputs(self) -> dict[str, Array]:
-        return self.formulas.outputs.by_name([self.numbers[name] for name in self.formulas.parameters])
+        return self.formulas.by_name([self.numbers[name] for name in self.parameters])
 
 
 def from_sympy_formulas(
@@ -222,17 +200,11 @@ def from_sympy_formulas(
         beam = al.foreign.from_sympy_formulas({"sag": F * L**3 / (3 * E * I)}, {F: al.Normal(1e3, 50.0), L: 1.0, ...})
 
     - `outputs`: expressions by name;
-    - `numbers`: a number, distribution or decision for each symbol in them; each has the symbol's name;
-    - `units`: the units of outputs by name, for reports.
-
-    Raises `ProblemError` for symbols without a number, for numbers that are not used, for equations (`Eq`), and for
-    functions that JAX lacks; `MissingExtraError` without SymPy.
+    - `numbers`, `units`: as in `al.foreign.from_sympy`, with the same errors.
     """
     who = "from_sympy_formulas"
     formulas = expressions_by_name(f"{who}: outputs", outputs)
-    given = symbols_given(f"{who}: numbers", numbers)
     symbols = contents_of(who, formulas.values()).symbols
-    _, names = names_of(who, (), symbols)
-    moves = "Use al.foreign.from_sympy for a system that moves."
-    structure_of = _Formulas(names, written(who, formulas, symbols, moves), units_for(who, units, formulas))
-    return SymPyFormulas(numbers_for(who, symbols, given), structure_of)
+    given = numbers_by_name(who, (), symbols, symbols_given(f"{who}: numbers", numbers))
+    program = written(who, formulas, symbols, "Use al.foreign.from_sympy for a system that moves.")
+    return SymPyFormulas(given, tuple(given), program, tuple(units_given(who, units).items()))

@@ -5,7 +5,7 @@ and would not say which element is wrong. Nothing is computed from geometry, whi
 """
 
 import contextlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
@@ -14,20 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aleator._core.border import meant, one_of
-from aleator._core.errors import ProblemError
-from aleator.foreign._robot import (
-    Robot,
-    broken,
-    carrier,
-    carriers,
-    checked_effects,
-    geometry,
-    moments,
-    refuse_effects,
-    robot_of,
-    root_of,
-)
-from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revolute
+from aleator.foreign._robot import Reading, Robot, carriers, geometry, moments
+from aleator.mechanics import Fixed, Free, Prismatic, Revolute
 
 _AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}
 _KINDS = (*_AXIAL, "fixed", "floating")
@@ -64,25 +52,29 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
 
     Raises `ProblemError`, with the file and the element, for what is no URDF, no tree or no possible body.
     """
-    left_out = checked_effects("read_urdf", leave_out)
+    reading = Reading("read_urdf", path, leave_out)
     one_of("read_urdf: floating", floating, bool)
-    root = root_of("read_urdf", path, "robot")
-    if any("xacro" in str(element.tag) or "${" in "".join(element.attrib.values()) for element in root.iter()):
-        raise broken(path, "", "expected no macros of xacro. Expand them first: xacro FILE > robot.urdf.")
-    links, joints = (_named(path, root, tag) for tag in ("link", "joint"))
+    root = reading.root("robot")
+    links, joints = (_named(reading, root, tag) for tag in ("link", "joint"))
     names = carriers({name: name for name in joints}, links)
-    bodies = [_body(links[_root(path, links, joints)], None, Free() if floating else Fixed())]
+    _link(links[_root(reading, links, joints)], None, Free() if floating else Fixed())
     for name, joint in joints.items():
-        bodies += _behind(joint, names[name], links)
-    limits = {output: ends for name, joint in joints.items() for output, ends in _limits(joint, names[name])}
-    notes = refuse_effects(path, _effects(joints), left_out)
-    return robot_of(path, bodies, limits=limits, notes=(*notes, *_notes(root, links, limits)))
+        _joint(joint, names[name], links)
+    if root.find("link/collision") is not None:
+        reading.notes.append("There is no contact: bodies pass through one another.")
+    if bare := [name for name, link in links.items() if link.element.find("inertial") is None]:
+        reading.notes.append(f"Links without <inertial> have no mass: {', '.join(bare)}.")
+    for owner, tags in _READ.items():
+        elements = [root] if owner == "robot" else root.findall(owner)
+        if others := sorted({str(child.tag) for element in elements for child in element}.difference(tags)):
+            reading.notes.append(f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}.")
+    return reading.robot()
 
 
 class _Place(NamedTuple):
-    """An element, and where it is: in a file, and under a name that a user finds there."""
+    """An element of a file, under a name that a user finds there."""
 
-    path: str | Path
+    reading: Reading
     where: str
     element: Element
 
@@ -92,24 +84,19 @@ class _Place(NamedTuple):
         Raises `ProblemError` for several, and for attributes that it does not have.
         """
         found = self.element.findall(tag)
-        if len(found) > 1:
-            raise self.broken(f"expected one <{tag}>; received {len(found)}.")
-        place = _Place(self.path, f"{self.where}, <{tag}>", found[0] if found else Element(tag))
+        place = _Place(self.reading, f"{self.where}, <{tag}>", found[0] if found else Element(tag))
         known = _ATTRIBUTES.get(tag, tuple(place.element.attrib))
         if others := [attribute for attribute in place.element.attrib if attribute not in known]:
-            raise place.broken(f"expected some of {list(known)}; received {others[0]!r}.")
+            raise self.reading.broken(place.where, f"expected some of {list(known)}; received {others[0]!r}.")
+        if len(found) > 1:
+            raise self.reading.broken(place.where, f"expected one such element; received {len(found)}.")
         return place
-
-    def has(self, tag: str) -> bool:
-        """Whether there is an element of a tag within."""
-        return self.element.find(tag) is not None
 
     def text(self, attribute: str) -> str:
         """An attribute. Raises `ProblemError` where it is missing or empty."""
-        found = self.element.get(attribute, "").strip()
-        if not found:
-            raise self.broken(f"expected the attribute {attribute}; received none.")
-        return found
+        if found := self.element.get(attribute, "").strip():
+            return found
+        raise self.reading.broken(self.where, f"expected the attribute {attribute}; received none.")
 
     def numbers(self, attribute: str, default: Any = None, count: int = 3) -> tuple[float, ...]:
         """So many finite numbers. Raises `ProblemError` for others."""
@@ -119,139 +106,89 @@ class _Place(NamedTuple):
         with contextlib.suppress(ValueError):
             found = tuple(map(float, text.split()))
         if len(found) != count or not np.isfinite(found).all():
-            raise self.broken(f"expected {attribute} as finite numbers, {count} of them; received {text!r}.")
+            what = f"expected {attribute} as finite numbers, {count} of them; received {text!r}."
+            raise self.reading.broken(self.where, what)
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
         """One finite number. Raises `ProblemError` for others."""
         return self.numbers(attribute, None if default is None else (default,), 1)[0]
 
-    @contextlib.contextmanager
-    def naming(self) -> Iterator[None]:
-        """Have errors of a block say where they arose."""
-        try:
-            yield
-        except ProblemError as error:
-            raise self.broken(str(error)) from error
 
-    def broken(self, what: str) -> ProblemError:
-        """The error that says what is wrong here."""
-        return broken(self.path, self.where, what)
-
-
-def _named(path: str | Path, root: Element, tag: str) -> dict[str, _Place]:
+def _named(reading: Reading, root: Element, tag: str) -> dict[str, _Place]:
     """The elements of a tag by name."""
     found: dict[str, _Place] = {}
     for element in root.findall(tag):
-        name = _Place(path, f"<{tag}>", element).text("name")
+        name = _Place(reading, f"<{tag}>", element).text("name")
         if name in found:
-            raise broken(path, f"{tag} '{name}'", f"expected one {tag} of this name; received two.")
-        found[name] = _Place(path, f"{tag} '{name}'", element)
+            raise reading.broken(f"{tag} '{name}'", f"expected one {tag} of this name; received two.")
+        found[name] = _Place(reading, f"{tag} '{name}'", element)
     return found
 
 
-def _root(path: str | Path, links: Mapping[str, _Place], joints: Mapping[str, _Place]) -> str:
+def _root(reading: Reading, links: Mapping[str, _Place], joints: Mapping[str, _Place]) -> str:
     """The link that no joint carries. Raises `ProblemError` for ends of joints that are no links, and for no tree."""
     carried: dict[str, str] = {}
     for name, joint in joints.items():
         for end in ("parent", "child"):
             if (link := joint.child(end).text("link")) not in links:
-                raise joint.broken(f"expected a link of the file as its {end}; received '{link}'.{meant(link, links)}")
+                what = f"expected a link of the file as its {end}; received '{link}'.{meant(link, links)}"
+                raise reading.broken(joint.where, what)
         if (other := carried.setdefault(link := joint.child("child").text("link"), name)) != name:
-            raise links[link].broken(
+            raise reading.broken(
+                f"link '{link}'",
                 f"expected one joint that carries it; received '{other}' and '{name}'. A tree has no loops: remove one "
-                "joint, and close the loop by al.joints.Closure in a model of your own."
+                "joint, and close the loop by al.joints.Closure in a model of your own.",
             )
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
-        raise broken(
-            path,
-            "",
-            f"expected one <link> that no joint carries, the root; received {roots or 'none'}. Connect all but one of "
-            "them by joints of the type fixed.",
-        )
+        what = f"expected one <link> that no joint carries, the root; received {roots or 'none'}"
+        raise reading.broken("", f"{what}. Connect all but one of them by joints of the type fixed.")
     return roots[0]
 
 
-def _behind(joint: _Place, name: str, links: Mapping[str, _Place]) -> list[Body]:
-    """The bodies of a joint and of the link behind it."""
-    parent, link = joint.child("parent").text("link"), links[joint.child("child").text("link")]
-    origin = joint.child("origin")
-    place = [geometry(origin.numbers(part, (0, 0, 0))) for part in ("xyz", "rpy")]
-    if (kind := joint.text("type")) == "fixed":
-        return [_body(link, parent, Fixed(), place)]
-    if kind not in _KINDS:
-        instead = " Use two prismatic joints and a continuous one in its place." if kind == "planar" else ""
-        raise joint.broken(f"expected a joint of the types {list(_KINDS)}; received '{kind}'.{instead}")
-    return [carrier(name, parent, _joint(joint, kind), *place), _body(link, name, Fixed())]
-
-
-def _joint(joint: _Place, kind: str) -> AbstractJoint:
-    if kind == "floating":
-        return Free()
-    damping = joint.child("dynamics").number("damping", 0.0)
-    axis = geometry(joint.child("axis").numbers("xyz", (1, 0, 0)))
-    with joint.naming():
-        found = _AXIAL[kind](axis, damping=damping or 0, stiffness=0, rest=0, armature=0)
-        found.refuse_impossible()
-    return found
-
-
-def _body(link: _Place, parent: str | None, joint: Any, place: Sequence[Any] = ((0, 0, 0), (0, 0, 0))) -> Body:
-    """A link with its inertia, in its own frame."""
+def _link(link: _Place, parent: str | None, joint: Any, place: Any = ((0, 0, 0), (0, 0, 0))) -> None:
+    """Read a link with its inertia, in its own frame."""
     # Without <inertial> it has no mass; with it, its numbers are needed.
-    inertial, default = link.child("inertial"), None if link.has("inertial") else 0.0
+    inertial, default = link.child("inertial"), 0.0 if link.element.find("inertial") is None else None
     origin, given = inertial.child("origin"), inertial.child("inertia")
-    xx, yy, zz, xy, xz, yz = (given.number(f"i{name}", default) for name in ("xx", "yy", "zz", "xy", "xz", "yz"))
+    xx, yy, zz, xy, xz, yz = (given.number(name, default) for name in _ATTRIBUTES["inertia"])
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     turned = Rotation.from_euler("xyz", origin.numbers("rpy", (0, 0, 0)))
-    with link.naming():
-        return Body(
-            link.text("name"),
-            parent=parent,
-            joint=joint,
-            mass=inertial.child("mass").number("value", default) or 0,
-            center=geometry(origin.numbers("xyz", (0, 0, 0))),
-            inertia=moments(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), turned),
-            position=place[0],
-            orientation=place[1],
-        )
+    mass, center = inertial.child("mass").number("value", default), geometry(origin.numbers("xyz", (0, 0, 0)))
+    link.reading.link(link.text("name"), parent, joint, place, mass, center, moments(matrix, turned))
 
 
-def _effects(joints: Mapping[str, _Place]) -> dict[str, list[str]]:
-    """Effects for which a tree has no place, with the joints that have them."""
-    found: dict[str, list[str]] = {"mimic": [], "friction": [], "ball": [], "extensions": []}
-    for joint in joints.values():
-        if (kind := joint.text("type")) == "fixed":
-            continue
-        dynamics = joint.child("dynamics")
-        found["mimic"] += [joint.where] * joint.has("mimic")
-        found["friction"] += [joint.where] * (dynamics.number("friction", 0.0) != 0)
-        found["ball"] += [joint.where] * (kind == "floating" and dynamics.number("damping", 0.0) != 0)
-        others = sorted(dynamics.element.attrib.keys() - {"damping", "friction"})
-        found["extensions"] += [f"{joint.where} ({name})" for name in others]
-    return found
-
-
-def _limits(joint: _Place, name: str) -> Iterator[tuple[str, tuple[float, float]]]:
-    kind, limit = joint.text("type"), joint.child("limit")
-    if kind not in _AXIAL or not joint.has("limit"):
+def _joint(joint: _Place, name: str, links: Mapping[str, _Place]) -> None:
+    """Read a joint and the link behind it, its limits, and its effects for which a tree has no place."""
+    parent, link = joint.child("parent").text("link"), links[joint.child("child").text("link")]
+    place = [geometry(joint.child("origin").numbers(part, (0, 0, 0))) for part in ("xyz", "rpy")]
+    if (kind := joint.text("type")) == "fixed":
+        _link(link, parent, Fixed(), place)
         return
-    if kind != "continuous":
-        yield name, (limit.number("lower", 0.0), limit.number("upper", 0.0))
+    reading, dynamics, limit = joint.reading, joint.child("dynamics"), joint.child("limit")
+    damping, friction = dynamics.number("damping", 0.0), dynamics.number("friction", 0.0)
+    if kind in _AXIAL:
+        axis = geometry(joint.child("axis").numbers("xyz", (1, 0, 0)))
+        with reading.naming(joint.where):
+            moving: Any = _AXIAL[kind](axis, damping=damping or 0, stiffness=0, rest=0, armature=0)
+    elif kind == "floating":
+        moving = Free()
+    else:
+        raise reading.broken(joint.where, f"expected a joint of the types {list(_KINDS)}; received '{kind}'.")
+    reading.carrier(name, parent, moving, place)
+    _link(link, name, Fixed())
+
+    others = sorted(dynamics.element.attrib.keys() - {"damping", "friction"})
+    for effect, elements in {
+        "mimic": [joint.where] * (joint.element.find("mimic") is not None),
+        "friction": [joint.where] * (friction != 0),
+        "ball": [joint.where] * (kind == "floating" and damping != 0),
+        "extensions": [f"{joint.where} ({attribute})" for attribute in others],
+    }.items():
+        reading.effects.setdefault(effect, []).extend(elements)
+    if kind in ("revolute", "prismatic") and limit.element.attrib:
+        reading.limits[name] = limit.number("lower", 0.0), limit.number("upper", 0.0)
     for attribute, output in (("velocity", f"{name}_rate"), ("effort", f"{name}_torque")):
-        if attribute in limit.element.attrib:
-            yield output, (-limit.number(attribute), limit.number(attribute))
-
-
-def _notes(root: Element, links: Mapping[str, _Place], limits: Collection[str]) -> Iterator[str]:
-    if limits:
-        yield "Limits are in robot.limits; nothing enforces them."
-    if root.find("link/collision") is not None:
-        yield "There is no contact: bodies pass through one another."
-    if bare := [name for name, link in links.items() if not link.has("inertial")]:
-        yield f"Links without <inertial> have no mass: {', '.join(bare)}."
-    for owner, tags in _READ.items():
-        elements = [root] if owner == "robot" else root.findall(owner)
-        others = sorted({str(child.tag) for element in elements for child in element}.difference(tags))
-        if others:
-            yield f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}."
+        if kind in _AXIAL and attribute in limit.element.attrib:
+            reading.limits[output] = -limit.number(attribute), limit.number(attribute)

@@ -9,7 +9,7 @@ import tempfile
 import threading
 import weakref
 from multiprocessing.spawn import get_executable
-from typing import IO, Any, NamedTuple, final
+from typing import IO, Any, NamedTuple, cast, final
 
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group, last_lines
@@ -34,8 +34,7 @@ class _Running(NamedTuple):
 class OwnProcess:
     """An FMU in a process of its own, which lasts from one question to the next, and is started again after its death.
 
-    - `opening`: what `Library` takes;
-    - `time_limit`: seconds for one answer, after which the process is ended.
+    - `opening`: what `Library` takes; `time_limit`: seconds for one answer, after which the process is ended.
 
     Raises `ProblemError` if the library cannot be loaded, `SimulationError` if it ends the process or hangs.
     """
@@ -57,28 +56,21 @@ class OwnProcess:
 
     def _started(self) -> None:
         printed = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the process)
-        process = subprocess.Popen(
-            [get_executable(), "-c", _CODE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=printed,
-            **in_group(),
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": printed}
+        self._running.append(
+            _Running(subprocess.Popen([get_executable(), "-c", _CODE], **pipes, **in_group()), printed)
         )
-        self._running.append(_Running(process, printed))
-        try:
-            # Before it is ready, it imports: that is no run.
-            self._answered(sys.path, " before it began", None)
-            self._answered(self._opening, " while its library was loaded", self._limit)
-        except BaseException:
-            self._end()
-            raise
+        # Before it is ready, it imports: that is no run.
+        self._answered(sys.path, " before it began", None)
+        self._answered(self._opening, " while its library was loaded", self._limit)
 
     def _answered(self, question: Any, where: str, limit: float | None) -> Any:
         """What the process answers. It is ended if that takes longer than a limit, or is interrupted."""
         process, printed = self._running[0]
         assert process.stdin is not None
         assert process.stdout is not None
-        answer, is_late = None, threading.Event()
+        answer: Any = None
+        is_late = threading.Event()
 
         def end() -> None:
             is_late.set()
@@ -95,23 +87,21 @@ class OwnProcess:
                 process.stdin.flush()
                 answer = pickle.load(process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError) as error:
-            ending = exit_told(process.wait())
-            lines = last_lines(printed)
-            self._end()
+            how = f"ended its process by {exit_told(process.wait())}{where}"
             if is_late.is_set():
-                raise SimulationError(
-                    f"FMU '{self._name}' did not end a run within its time limit of {limit:g} s{where}: its "
-                    "process was ended. If it needs longer, give Fmu a larger time_limit."
-                ) from error
-            words = f"; it printed: {lines}" if lines else ""
-            raise SimulationError(f"FMU '{self._name}' ended its process by {ending}{where}{words}.") from error
-        except BaseException:
-            self._end()
-            raise
+                how = (
+                    f"did not end a run within its time limit of {limit:g} s{where}: its process was ended. If it "
+                    "needs longer, give Fmu a larger time_limit"
+                )
+            elif lines := last_lines(printed):
+                how += f"; it printed: {lines}"
+            raise SimulationError(f"FMU '{self._name}' {how}.") from error
         finally:
             timer.cancel()
-        returned, raised, is_broken = answer
-        if is_broken:
+            if answer is None:
+                self._end()
+        returned, raised, is_broken = cast("tuple[Any, Any, bool]", answer)
+        if is_broken or (raised is not None and question is self._opening):
             self._end()
         if raised is not None:
             raise raised

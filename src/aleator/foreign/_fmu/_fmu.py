@@ -2,11 +2,10 @@
 
 import functools
 import hashlib
-import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, final
@@ -14,13 +13,13 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import content_of, meant, members, one_of, positive, refusal, shown
+from aleator._core.border import content_of, meant, one_of, positive, refusal, shown
 from aleator._core.errors import ProblemError, optional
 from aleator.foreign._fmu._doors import OwnProcess
 from aleator.foreign._fmu._library import Library
 
-# What users call the interfaces, and FMI and its tools do. The first one offered is the default.
-_KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
+# What users call the interfaces, and FMPy does. The first one offered is the default.
+_KINDS = {"model exchange": "modelExchange", "co-simulation": "coSimulation"}
 _REAL = ("Real", "Float64")  # in FMI 2 and 3
 # Types of FMI that NumPy calls otherwise. A number of 32 bits need not be exact.
 _IN_NUMPY = {"Real": "float64", "Float32": "float64", "Integer": "int32", "Enumeration": "int32", "Boolean": "bool"}
@@ -34,7 +33,7 @@ class Fmu:
 
     - `path`: the file;
     - `kind`: "model exchange" (the FMU gives the rates of its states, which are integrated here) or "co-simulation" (it
-      steps by itself), also spelt "ModelExchange" or "CS"; by default the first of the two that it offers;
+      steps by itself); by default the first of the two that it offers;
     - `settings`: values of parameters of any type (numbers, whole numbers, truth values, texts), for all runs;
     - `own_process`: whether the compiled code of the FMU runs in a process of its own, which starts once, and again
       after a crash. Without one, an FMU that crashes or hangs does so with this process;
@@ -58,18 +57,27 @@ class Fmu:
         time_limit: float | None = 600.0,
     ):
         path = Path(one_of("Fmu: path", path, (str, Path), "'pendulum.fmu'"))
-        one_of("Fmu: own_process", own_process, bool)
         limit = None if time_limit is None else positive("Fmu: time_limit", time_limit)
         settings = dict(one_of("Fmu: settings", settings or {}, Mapping, "{'stages': 3}"))
         folder = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         # Two files are two models, whatever they are called.
-        self.name, (description, self._digest) = path.stem, unpacked(path, folder)
-        self.kind, self.variables = kind_of(self.name, description, kind), Variables(self.name, description)
-        settings = self.variables.settings(settings)
-        self._version, self.indicators = description.fmiVersion, int(description.numberOfEventIndicators)
+        self.name, (description, self._digest) = path.stem, _unpacked(path, folder)
+        offered = [one for one, theirs in _KINDS.items() if getattr(description, theirs) is not None]
+        if kind is not None and kind not in offered:
+            raise refusal(f"FMU '{self.name}': kind", f"one of {offered}", kind)
+        self.kind = kind or offered[0]
         self.is_exchange = self.kind == "model exchange"
-        self.states = self.variables.states() if self.is_exchange else []
+        self._version, self.indicators = description.fmiVersion, int(description.numberOfEventIndicators)
+        self.variables: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
+        self.parameters, self.inputs, self.outputs = map(self._of, ("parameter", "input", "output"))
+        rates = [derivative.variable for derivative in description.derivatives if self.is_exchange]
+        for rate in rates:
+            if rate.derivative is None or not _is_number(rate.derivative):
+                raise refusal(f"FMU '{self.name}'", "states of one real number each, with a rate", rate.name)
+        self.states: list[str] = [rate.derivative.name for rate in rates]
+        for name in self.checked(settings, of_any_type=True):
+            settings[name] = _of_type(f"FMU '{self.name}': '{name}'", self.variables[name].type, settings[name])
         self._given = path.absolute(), tuple(settings.items()), self.kind, own_process, limit
         opening = self.name, str(folder), self.is_exchange, settings
         self.door = OwnProcess(*opening, time_limit=limit) if own_process else Library(*opening)
@@ -78,26 +86,53 @@ class Fmu:
         """Sent to other processes as its file, which must be the same there."""
         return _opened_again, (self._digest, *self._given)
 
-    @property
-    def parameters(self) -> list[str]:
-        """Its real parameters."""
-        return self.variables.of("parameter")
-
-    @property
-    def inputs(self) -> list[str]:
-        """Its real inputs."""
-        return self.variables.of("input")
-
-    @property
-    def outputs(self) -> list[str]:
-        """Its real outputs. Other real variables can be read too."""
-        return self.variables.of("output")
-
     def __str__(self) -> str:
         listed = {name: getattr(self, name) for name in ("parameters", "inputs", "states", "outputs")}
         events = f"; {self.indicators} event indicators" if self.is_exchange and self.indicators else ""
         lines = [f"  {name}: {', '.join(variables) or 'none'}" for name, variables in listed.items()]
         return "\n".join([f"FMU '{self.name}': FMI {self._version}, {self.kind}{events}", *lines])
+
+    def _of(self, causality: str) -> list[str]:
+        """The real variables of a causality."""
+        return [name for name, one in self.variables.items() if one.causality == causality and _is_number(one)]
+
+    def sizes(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
+        """The usual sizes that variables declare; 1 for others."""
+        return np.array([abs(float(self.variables[name].nominal or 1.0)) or 1.0 for name in names])
+
+    def units(self, names: Iterable[str]) -> Mapping[str, str]:
+        """The units that variables declare, by name."""
+        variables = {name: self.variables[name] for name in names}
+        declared = {name: one.unit or getattr(one.declaredType, "unit", None) for name, one in variables.items()}
+        return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
+
+    def refuse_other_inputs(self, names: Iterable[Any], known: Sequence[str]) -> None:
+        """Raise `ProblemError` for the first of some inputs that is not known."""
+        for name in names:
+            if name not in known:
+                hint = meant(f"{name}", known)
+                raise ProblemError(f"FMU '{self.name}': expected inputs among {known}; received {shown(name)}.{hint}")
+
+    def checked(self, names: Iterable[Any], *, is_set: bool = True, of_any_type: bool = False) -> list[str]:
+        """Names, each checked to be of a real variable, and of one that may be set before the start if it `is_set`."""
+        names = list(names)
+        for name in names:
+            if name not in self.variables:
+                hint = meant(f"{name}", self.variables) or " Print it to see its names."
+                raise ProblemError(f"FMU '{self.name}' has no variable {shown(name)}.{hint}")
+            one = self.variables[name]
+            if not (of_any_type or _is_number(one)):
+                raise ProblemError(
+                    f"FMU '{self.name}': expected a real variable of one number; received '{name}' of type {one.type}. "
+                    "Other types are set for all runs by Fmu(settings={...})."
+                )
+            is_first = one.variability != "constant" and one.initial == "exact"
+            if is_set and not (is_first or one.causality in ("input", "structuralParameter")):
+                raise ProblemError(
+                    f"FMU '{self.name}': expected a parameter, an input or an initial value; received '{name}', which "
+                    f"the FMU computes (causality '{one.causality}', variability '{one.variability}')."
+                )
+        return names
 
 
 # Each task that a worker is sent has the model anew: the FMU stays open for the next one.
@@ -110,7 +145,7 @@ def _opened_again(digest: str, path: Path, settings: tuple[tuple[str, Any], ...]
     return fmu
 
 
-def unpacked(path: Path, folder: Path) -> tuple[Any, str]:
+def _unpacked(path: Path, folder: Path) -> tuple[Any, str]:
     """The model description of an FMU, which is unpacked into a folder, and the digest of its file.
 
     Raises `ProblemError` for a file that is no FMU of FMI 2 or 3 for this machine; `MissingExtraError` without FMPy.
@@ -134,106 +169,12 @@ def unpacked(path: Path, folder: Path) -> tuple[Any, str]:
     return description, digest
 
 
-def kind_of(name: str, description: Any, kind: Any) -> str:
-    """How an FMU is run: as it is asked for, or the first of model exchange and co-simulation that it offers."""
-    offered = {words: names for words, names in _KINDS.items() if getattr(description, names[0]) is not None}
-    plain = re.sub(r"[\s_-]", "", kind).lower() if isinstance(kind, str) else ""
-    for words, names in offered.items():
-        if kind is None or plain in map(str.lower, names):
-            return words
-    hint = meant(kind, offered) if isinstance(kind, str) else ""
-    raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.{hint}")
-
-
-@final
-class Variables:
-    """The variables of the FMU called `name`, by their names."""
-
-    def __init__(self, name: str, description: Any):
-        self._who = f"FMU '{name}'"
-        self.all: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
-        self._rates = [derivative.variable for derivative in description.derivatives]
-
-    def states(self) -> list[str]:
-        """The continuous states. Raises `ProblemError` unless each is one real number with a rate."""
-        for rate in self._rates:
-            if rate.derivative is None or not _is_number(rate.derivative):
-                raise ProblemError(
-                    f"{self._who}: expected states of one real number each; '{rate.name}' is the rate of none. Use it "
-                    "for co-simulation, if it offers that."
-                )
-        return [rate.derivative.name for rate in self._rates]
-
-    def of(self, causality: str) -> list[str]:
-        """The real variables of a causality."""
-        return [name for name, variable in self.all.items() if variable.causality == causality and _is_number(variable)]
-
-    def settable(self, names: Iterable[Any]) -> list[str]:
-        """Names, each checked to be of a real variable that may be set before the start, or `ProblemError`."""
-        return self._checked(names, "a parameter, an input or an initial value", _is_settable)
-
-    def inputs(self, names: Iterable[Any]) -> list[str]:
-        """Names, each checked to be of a real input, or `ProblemError`."""
-        return self._checked(names, "an input", lambda variable: variable.causality == "input")
-
-    def readable(self, names: Any) -> list[str]:
-        """Names, by default of all outputs, each checked to be of a real variable, or `ProblemError`."""
-        names = self.of("output") if names is None else members(f"{self._who}: outputs", names, str)
-        if not names or len(set(names)) < len(names):
-            raise refusal(self._who, "a list of variables to read, each once", names)
-        return self._checked(names, "a variable", lambda _: True)
-
-    def settings(self, given: Mapping[Any, Any]) -> dict[str, Any]:
-        """Values of variables of any type that may be set before the start, by their names.
-
-        Raises `ProblemError` for others, and for values of another type, which an FMU would take for something else.
-        """
-        names = self._checked(given, "a parameter, an input or an initial value", _is_settable, of_any_type=True)
-        return {name: _of_type(f"{self._who}: '{name}'", self.all[name].type, given[name]) for name in names}
-
-    def nominals(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
-        """The usual sizes that variables declare; 1 for others."""
-        return np.array([abs(float(self.all[name].nominal or 1.0)) or 1.0 for name in names])
-
-    def units(self, names: Iterable[str]) -> Mapping[str, str]:
-        """The units that variables declare, by name."""
-        declared = {name: self.all[name].unit or getattr(self.all[name].declaredType, "unit", None) for name in names}
-        return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
-
-    def _checked(
-        self, names: Iterable[Any], expected: str, fits: Callable[[Any], bool], *, of_any_type: bool = False
-    ) -> list[str]:
-        names = list(names)
-        for name in names:
-            if name not in self.all:
-                hint = meant(f"{name}", self.all)
-                raise ProblemError(f"{self._who} has no variable {shown(name)}.{hint or ' Print it to see its names.'}")
-            variable = self.all[name]
-            if not (of_any_type or _is_number(variable)):
-                raise ProblemError(
-                    f"{self._who}: expected a real variable of one number; received '{name}' of type {variable.type}. "
-                    "Other types are set for all runs by Fmu(settings={...})."
-                )
-            if not fits(variable):
-                why = "" if variable.causality in ("parameter", "input") else ", which the FMU computes"
-                raise ProblemError(
-                    f"{self._who}: expected {expected}; received '{name}'{why} (causality '{variable.causality}', "
-                    f"variability '{variable.variability}')."
-                )
-        return names
-
-
 def _is_number(variable: Any) -> bool:
     return variable.type in _REAL and not variable.shape
 
 
-def _is_settable(variable: Any) -> bool:
-    is_first = variable.variability != "constant" and variable.initial == "exact"
-    return is_first or variable.causality in ("input", "structuralParameter")
-
-
 def _of_type(what: str, kind: str, value: Any) -> Any:
-    """A value of a type of FMI, to its last digit. Raises `ProblemError` for any other."""
+    """A value of a type of FMI, to its last digit. Raises `ProblemError` for any other, which an FMU would misread."""
     if kind in ("String", "Binary"):
         return one_of(what, value, str if kind == "String" else bytes)
     with suppress(TypeError, ValueError, OverflowError):

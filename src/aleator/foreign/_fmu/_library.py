@@ -1,20 +1,19 @@
-"""What can be asked of an FMU that is loaded: runs, and values of its equations."""
+"""The compiled code of an FMU, loaded by FMPy, whatever its version of FMI: runs, and values of its equations."""
 
 import threading
 import warnings
-import weakref
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, closing
 from itertools import pairwise
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Float
 from scipy.integrate import LSODA
 
-from aleator._core.errors import SimulationError
-from aleator.foreign._fmu._instance import Instance, Loaded
+from aleator._core.errors import ProblemError, SimulationError
+from aleator.foreign._fmu._instance import LONGEST, Instance
 
 # FMUs share what is static in their libraries, and FMPy's logger is one for the whole process.
 _LOCK = threading.RLock()
@@ -25,19 +24,43 @@ _TOLERANCE = 1e-10
 # How finely the time of an event is determined, as a part of the step in which it happens.
 _FINE = 1e-13
 
+Names: TypeAlias = tuple[Sequence[str], Sequence[str], Sequence[str]]
+"""Parameters, inputs and outputs of equations."""
+Found: TypeAlias = tuple[Float[np.ndarray, "points ..."], str]
+"""Values at some points, NaN where the FMU fails, and what its first failure was."""
+
 
 @final
-class Library(Loaded):
-    """The FMU `name` in an unpacked `folder`, loaded; variables are told by their names.
+class Library:
+    """The FMU `name`, loaded from an unpacked `folder`, for model exchange or co-simulation.
 
-    `settings`: values of variables of any type, for all runs. Raises `ProblemError` if it cannot be loaded.
+    `settings`: values of variables of any type, for all runs. Variables are told by their names. Raises `ProblemError`
+    if it cannot be loaded.
     """
 
     def __init__(self, name: str, folder: str, is_exchange: bool, settings: Mapping[str, Any]):
-        with _LOCK:
-            super().__init__(name, folder, is_exchange)
-        self._settings, self._instances = settings, OrderedDict[tuple[Any, ...], Instance]()
-        weakref.finalize(self, _free_all, self._instances)
+        import fmpy
+        from fmpy import fmi2, fmi3
+
+        description: Any = fmpy.read_model_description(folder, validate=False)
+        interface = description.modelExchange if is_exchange else description.coSimulation
+        self.name, self.is_exchange, self.settings = name, is_exchange, settings
+        self.version = int(description.fmiVersion[0])
+        self.steps_are_reported = bool(getattr(interface, "needsCompletedIntegratorStep", False))
+        self.variables: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
+        self.states = len(description.derivatives) if is_exchange else 0
+        self.indicators = int(description.numberOfEventIndicators)
+        self.is_broken = False  # for good, by what FMI calls a fatal error
+        self._most_instances = 1 if interface.canBeInstantiatedOnlyOncePerProcess else _KEPT
+        self._instances = OrderedDict[tuple[Any, ...], Instance]()
+        model, slave = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[self.version]
+        what = {"guid": description.guid, "modelIdentifier": interface.modelIdentifier, "unzipDirectory": folder}
+        try:
+            with _LOCK, chdir("."):  # FMPy changes the folder, and leaves it so if the library cannot be loaded
+                self.prototype: Any = (model if is_exchange else slave)(instanceName=name, **what)
+        except Exception as error:
+            text = " ".join(str(error).split())[:LONGEST].rstrip(".")
+            raise ProblemError(f"FMU '{name}': its library cannot be loaded: {text}.") from error
 
     def ask(self, method: str, *arguments: Any, where: str = "") -> Any:
         """What a method returns. `where` it is asked is told by processes that end."""
@@ -55,9 +78,9 @@ class Library(Loaded):
     ) -> Float[np.ndarray, "instants outputs"]:
         """The outputs at all instants, from values at the start, with inputs that are straight between instants.
 
-        Raises `SimulationError` if the run fails, or an output is not finite.
+        Raises `SimulationError` if the run fails.
         """
-        driven, read = self.references(list(inputs)), self.references(outputs)
+        driven, read = self._references(list(inputs)), self._references(outputs)
         first = {name: float(values[0]) for name, values in inputs.items()}
         with self._started({**start, **first}, float(times[0]), tolerance) as instance:
 
@@ -65,15 +88,10 @@ class Library(Loaded):
                 instance.set(driven, np.array([np.interp(t, times, values) for values in inputs.values()]))
 
             if self.is_exchange:
-                course = integrated(instance, times, drive, tolerance, is_driven=bool(driven))
+                course = _integrated(instance, times, drive, tolerance, is_driven=bool(driven))
             else:
-                course = stepped(instance, times, drive)
-            rows = np.stack([instance.get(read) for _ in course])
-        if not np.isfinite(rows).all():
-            instant, output = np.argwhere(~np.isfinite(rows))[0]
-            what = f"output '{outputs[output]}' is {rows[instant, output]:g} at t = {times[instant]:.6g} s"
-            raise SimulationError(f"FMU '{self.name}': {what}.")
-        return rows
+                course = _stepped(instance, times, drive)
+            return np.stack([instance.get(read) for _ in course])
 
     def first(self, parameters: Mapping[str, float | None], inputs: Sequence[str]) -> dict[str, Any]:
         """How the equations begin, for values of parameters, None for the FMU's own.
@@ -82,82 +100,64 @@ class Library(Loaded):
         its time.
         """
         known = {name: value for name, value in parameters.items() if value is not None}
-        with self._started(known, 0.0, _TOLERANCE) as instance:
+        with self._started(known) as instance:
             return {
-                "inputs": instance.get(self.references(inputs)),
-                "parameters": instance.get(self.references(list(parameters))),
-                "states": instance.state(),
-                "nominals": instance.nominals(),
+                "inputs": instance.get(self._references(inputs)),
+                "parameters": instance.get(self._references(list(parameters))),
+                "states": instance.vector("ContinuousStates"),
+                "sizes": instance.sizes(),
                 "is_timed": bool(np.isfinite(instance.next_event)),
             }
 
-    def rates(
-        self,
-        parameters: Sequence[str],
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        points: Float[np.ndarray, "points m"],
-    ) -> tuple[Float[np.ndarray, "points values"], str]:
-        """Rates of the states, then outputs, at points (time, states, inputs, parameters); NaN where the FMU fails.
-
-        Parameters are set before an FMU starts, so that there is one instance for each set of them. Also returns what
-        the first failure was.
-        """
-        names, driven, read = tuple(parameters), self.references(inputs), self.references(outputs)
+    def rates(self, names: Names, points: Float[np.ndarray, "points m"]) -> Found:
+        """Rates of the states, then outputs, at points (time, states, inputs, parameters)."""
+        parameters, inputs, outputs = names
+        driven, read = self._references(inputs), self._references(outputs)
         n = 1 + self.states
         r = n + len(driven)
 
         def values(point: np.ndarray) -> np.ndarray:
-            instance = self._instance(names, point[r:])
+            instance = self._instance(dict(zip(parameters, point[r:].tolist(), strict=True)))
             instance.at(float(point[0]), point[1:n])
             instance.set(driven, point[n:r])
-            return np.concatenate([instance.rates(), instance.get(read)])
+            return np.concatenate([instance.vector("ContinuousStateDerivatives"), instance.get(read)])
 
         return each(values, points, (self.states + len(read),))
 
-    def initial(
-        self, names: Sequence[str], points: Float[np.ndarray, "points m"]
-    ) -> tuple[Float[np.ndarray, "points n"], str]:
-        """The initial states at values of variables, after a time that is left aside; as `rates` returns them."""
+    def initial(self, names: Names, points: Float[np.ndarray, "points m"]) -> Found:
+        """The initial states at points (time, inputs, parameters), of which the time is left aside."""
+        parameters, inputs, _ = names
 
         def state(point: np.ndarray) -> np.ndarray:
-            with self._started(dict(zip(names, point[1:].tolist(), strict=True)), 0.0, _TOLERANCE) as instance:
-                return instance.state()
+            with self._started(dict(zip((*inputs, *parameters), point[1:].tolist(), strict=True))) as instance:
+                return instance.vector("ContinuousStates")
 
         return each(state, points, (self.states,))
 
-    @contextmanager
-    def _started(self, values: Mapping[str, Any], t: float, tolerance: float) -> Iterator[Instance]:
-        """A fresh instance, so that no run depends on the runs before it; given back at the end."""
-        if self.is_alone:
-            _free_all(self._instances)
-        instance = Instance(self, {**self._settings, **values}, t, tolerance)
-        try:
-            yield instance
-        finally:
-            instance.free()
+    def _references(self, names: Sequence[str]) -> list[int]:
+        return [self.variables[name].valueReference for name in names]
 
-    def _instance(self, names: tuple[str, ...], p: Float[np.ndarray, " k"]) -> Instance:
-        """The instance of a set of parameters at the time 0, started if it is new."""
-        key = (names, p.tobytes())
+    def _started(self, values: Mapping[str, Any], t: float = 0.0, tolerance: float = _TOLERANCE) -> closing[Instance]:
+        """A fresh instance, so that no run depends on the runs before it."""
+        if self._most_instances == 1:
+            self._instances.clear()
+        return closing(Instance(self, {**self.settings, **values}, t, tolerance))
+
+    def _instance(self, parameters: Mapping[str, float]) -> Instance:
+        """The instance of a set of parameters, which are set before an FMU starts; it is started if it is new."""
+        key = tuple(parameters.items())
         if key not in self._instances:
-            while len(self._instances) >= (1 if self.is_alone else _KEPT):
-                self._instances.popitem(last=False)[1].free()
-            values = dict(zip(names, p.tolist(), strict=True))
-            self._instances[key] = Instance(self, {**self._settings, **values}, 0.0, _TOLERANCE)
+            while len(self._instances) >= self._most_instances:
+                self._instances.popitem(last=False)
+            self._instances[key] = Instance(self, {**self.settings, **parameters}, 0.0, _TOLERANCE)
         self._instances.move_to_end(key)
         return self._instances[key]
 
 
-def _free_all(instances: OrderedDict[tuple[Any, ...], Instance]) -> None:
-    while instances:
-        instances.popitem()[1].free()
-
-
 def each(
     function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], shape: tuple[int, ...]
-) -> tuple[Float[np.ndarray, "points ..."], str]:
-    """Values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
+) -> Found:
+    """Values of a function at each point that is finite."""
     values, reason = np.full((len(points), *shape), np.nan), ""
     for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
         try:
@@ -167,7 +167,10 @@ def each(
     return values, reason
 
 
-def stepped(
+# --- Runs -------------------------------------------------------------------------------------------------------------
+
+
+def _stepped(
     instance: Instance, times: Float[np.ndarray, " instants"], drive: Callable[[float], None]
 ) -> Iterator[None]:
     """Take a co-simulation to each instant. During a step, each input has its value in the middle of it."""
@@ -178,7 +181,7 @@ def stepped(
         yield
 
 
-def integrated(
+def _integrated(
     instance: Instance,
     times: Float[np.ndarray, " instants"],
     drive: Callable[[float], None],
@@ -192,10 +195,7 @@ def integrated(
     its BDF is ten times less accurate at a tolerance, it loses what an FMU says of its failure, and where an FMU ends
     the simulation it returns what there is.
     """
-    n, t, waiting = instance.loaded.states, float(times[0]), deque(times[1:].tolist())
-
-    def state() -> np.ndarray:
-        return instance.state() if n else np.zeros(1)  # integrators need one number at least
+    n, t, waiting = instance.library.states, float(times[0]), deque(times[1:].tolist())
 
     def go(t: float, y: np.ndarray) -> None:
         instance.at(float(t), y[:n])
@@ -203,27 +203,27 @@ def integrated(
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
         go(t, y)
-        found = instance.rates() if n else np.zeros(1)
+        found = instance.vector("ContinuousStateDerivatives") if n else np.zeros(1)
         if not np.isfinite(found).all():  # LSODA would not notice
             raise SimulationError(f"FMU '{instance.name}': the rate of a state is not finite at t = {t:.6g} s.")
         return found
 
-    def indicators(t: float, y: np.ndarray) -> np.ndarray:
+    def signs(t: float, y: np.ndarray) -> np.ndarray:
         go(t, y)
-        return instance.indicators()
+        return instance.vector("EventIndicators")
 
-    go(t, state())
+    go(t, instance.vector("ContinuousStates"))
     yield
     # Events are looked for between the integrator's steps.
-    longest = float(np.min(np.diff(times))) if instance.loaded.indicators else np.inf
+    longest = float(np.min(np.diff(times))) if instance.library.indicators else np.inf
     while waiting:
         if t >= instance.next_event:
             instance.handle_event()
-        y, is_event = state(), False
-        before = indicators(t, y)
+        y = instance.vector("ContinuousStates") if n else np.zeros(1)  # integrators need one number at least
+        before, is_event = signs(t, y), False
         # The rates have kinks where the slopes of inputs change.
         bound = min(waiting[0 if is_driven else -1], instance.next_event)
-        atol: Any = tolerance * instance.nominals() if n else 1.0
+        atol: Any = tolerance * instance.sizes() if n else 1.0
         solver: Any = LSODA(rates, t, y, bound, rtol=tolerance, atol=atol, max_step=min(longest, bound - t))
         while solver.status == "running" and not is_event:
             began = t
@@ -236,11 +236,11 @@ def integrated(
                     f"enough for a tolerance of {tolerance:g}."
                 )
             t, y, curve = float(solver.t), solver.y.copy(), solver.dense_output()
-            after = indicators(t, y)
+            after = signs(t, y)
             if is_event := _has_changed(before, after):
                 low, width = began, _FINE * (t - began)
                 while t - low > width and low < (middle := (low + t) / 2) < t:
-                    is_late = _has_changed(before, indicators(middle, curve(middle)))
+                    is_late = _has_changed(before, signs(middle, curve(middle)))
                     low, t = (low, middle) if is_late else (middle, t)
                 y = curve(t)
             while waiting and waiting[0] <= t:

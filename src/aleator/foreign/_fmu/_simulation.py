@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from aleator._core.border import one_of, positive, real, refusal
+from aleator._core.border import one_of, positive, real
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
 from aleator.dynamics import Grid, check_span
 from aleator.foreign._fmu._fmu import Fmu
@@ -65,20 +65,28 @@ class FmuSimulation:
         self._grid = one_of("FmuSimulation: grid", grid, Grid, "al.Grid(2.0, 200)")
         real("FmuSimulation: the final time", grid.t_final, "a known one")
         self.__name__, self._who = fmu.name, f"FMU '{fmu.name}'"  # in messages
-        self._outputs = fmu.variables.readable(outputs)
+        self._outputs = fmu.outputs if outputs is None else fmu.checked(outputs, is_set=False)
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._signals = dict(one_of(f"{self._who}: inputs", inputs or {}, Mapping, "{'force': al.Tabulated(t, f)}"))
-        fmu.variables.inputs(self._signals)
-        self._inputs = {name: self._sampled(name, signal) for name, signal in self._signals.items()}
-
-    @property
-    def times(self) -> Float[np.ndarray, " instants"]:
-        """The instants, s."""
-        return np.asarray(self._grid.times)
+        fmu.refuse_other_inputs(self._signals, fmu.inputs)
+        for name, signal in self._signals.items():
+            who = f"{self._who}, input '{name}',"
+            one_of(who, signal, AbstractSignal, "al.Tabulated(times, values), or a constant among the parameters")
+            check_span(who, signal.over(grid.t_start, grid.t_final), grid)
+        self._times = np.asarray(grid.times)
+        self._inputs = {
+            name: np.asarray(signal.sampled(grid.fractions, grid.t_start, grid.t_final))
+            for name, signal in self._signals.items()
+        }
 
     def __call__(self, at: Mapping[str, Any]) -> dict[str, Any]:
         """The outputs by name, each of shape (instants,), for numbers by the names of parameters."""
-        known, traced = self._sorted(at)
+        one_of(f"{self._who}: its numbers", at, Mapping, f"{{'{next(iter(self._fmu.parameters), 'x')}': 1.0}}")
+        self._fmu.checked(at)
+        if varied := [name for name in at if name in self._signals]:
+            raise ProblemError(f"{self._who}: the input '{varied[0]}' is a signal; leave it out of the parameters.")
+        traced = {name: value for name, value in at.items() if isinstance(value, Tracer)}
+        known = {name: real(f"{self._who}: '{name}'", value) for name, value in at.items() if name not in traced}
         if not traced:
             outputs = self._run(known, self._tolerance)
         else:
@@ -91,21 +99,17 @@ class FmuSimulation:
         settings = {"outputs": self._outputs, "inputs": self._signals, "tolerance": self._tolerance}
         return partial(FmuSimulation, **settings), (self._fmu, self._grid)
 
-    def __str__(self) -> str:
-        span = f"from {self.times[0]:g} to {self.times[-1]:g} s in {len(self.times) - 1} steps"
-        return f"{self._who}, {self._fmu.kind}, {span}: {', '.join(self._outputs)}"
-
     def _run(self, start: Mapping[str, float], tolerance: float) -> Float[np.ndarray, "instants outputs"]:
         where = ", with " * bool(start) + ", ".join(f"{name}={value:.6g}" for name, value in start.items())
         try:
-            return self._fmu.door.ask("run", start, self._outputs, self.times, self._inputs, tolerance, where=where)
+            return self._fmu.door.ask("run", start, self._outputs, self._times, self._inputs, tolerance, where=where)
         except SimulationError as error:
             text = str(error).removesuffix(".")
             raise SimulationError(text + ("" if where in text else where) + ".") from error
 
     def _differentiable(self, known: Mapping[str, float], names: list[str]) -> Any:
         """The outputs as a function of JAX of a time that is left aside and of the numbers of some names."""
-        shape = len(self.times), len(self._outputs)
+        shape = len(self._times), len(self._outputs)
 
         def runs(tolerance: float, points: np.ndarray) -> np.ndarray:
             def run(point: np.ndarray) -> np.ndarray:
@@ -130,44 +134,15 @@ class FmuSimulation:
                     stacklevel=2,
                 )
 
-        steps = relative_steps(_STEP, self._fmu.variables.nominals(names))
         finer = partial(runs, max(_FINER * self._tolerance, _FINEST))
-        return differentiable(partial(runs, self._tolerance), shape, steps, warn_of_noise, exacter=finer)
-
-    def _sorted(self, at: Any) -> tuple[dict[str, float], dict[str, Array]]:
-        """The numbers that are known, and those that are traced."""
-        one_of(f"{self._who}: its numbers", at, Mapping, f"{{'{next(iter(self._fmu.parameters), 'x')}': 1.0}}")
-        known, traced = {}, {}
-        for name in self._fmu.variables.settable(at):
-            value = at[name]
-            if name in self._signals:
-                raise ProblemError(f"{self._who}: the input '{name}' is a signal; leave it out of the parameters.")
-            if isinstance(value, Tracer) and not value.shape:
-                traced[name] = value
-            else:
-                known[name] = real(f"{self._who}: '{name}'", value)
-        return known, traced
-
-    def _sampled(self, name: str, signal: Any) -> Float[np.ndarray, " instants"]:
-        """A signal at the instants. Raises `ProblemError` if it does not fit."""
-        who, grid = f"{self._who}, input '{name}',", self._grid
-        one_of(who, signal, AbstractSignal, "al.Tabulated(times, values), or a constant among the parameters")
-        check_span(who, signal.over(grid.t_start, grid.t_final), grid)
-        try:
-            values = np.asarray(signal.sampled(grid.fractions, grid.t_start, grid.t_final))
-        except (TypeError, jax.errors.JAXTypeError) as error:
-            raise refusal(who, "a signal of known numbers", signal) from error
-        if values.shape != (len(grid.fractions),):
-            raise refusal(who, "one number at each instant", values)
-        return values
+        host, sizes = partial(runs, self._tolerance), self._fmu.sizes(names)
+        return differentiable(host, shape, _STEP, sizes, judge=warn_of_noise, exacter=finer)
 
 
 # --- Functions of NumPy as functions of JAX ---------------------------------------------------------------------------
 
 Host: TypeAlias = Callable[[Float[np.ndarray, "points m"]], np.ndarray]
 """Values at some points, shape (points, ...): each is a time and then numbers."""
-Steps: TypeAlias = Callable[[Float[np.ndarray, "points n"]], Float[np.ndarray, "points n"]]
-"""The step of a difference by each number."""
 Judge: TypeAlias = Callable[[np.ndarray, np.ndarray], None]
 """Takes derivatives and by how much those over one step and over two disagree: much if noise or jumps do."""
 
@@ -177,39 +152,19 @@ _ABOUT = np.array([-2.0, -1.0, 1.0, 2.0])
 _LATER, _WEIGHTS = 1e-5, (-25 / 12, 48 / 12, -36 / 12, 16 / 12, -3 / 12)
 
 
-def relative_steps(part: float, nominals: Float[np.ndarray, " n"]) -> Steps:
-    """Steps as a part of each number, or of its usual size where it is about zero."""
-    return lambda z: part * np.where(np.abs(z) > 1e-6 * nominals, np.abs(z), nominals)
-
-
-def _slopes(
-    host: Host, steps: Steps, judge: Judge | None, points: Float[np.ndarray, "points m"]
-) -> Float[np.ndarray, "..."]:
-    """The derivatives of a host by its numbers, on a last axis: by four points about each, of fourth order."""
-    h, (count, m) = steps(points[:, 1:]), points.shape
-    moves = h[:, :, None, None] * _ABOUT[:, None] * np.eye(m)[1:, None]
-    values = host((points[:, None, None] + moves).reshape(-1, m))
-    values = values.reshape(count, m - 1, 4, *values.shape[1:])
-    h = h.reshape(*h.shape, *(1,) * (values.ndim - 3))
-    once = (values[:, :, 2] - values[:, :, 1]) / (2 * h)
-    twice = (values[:, :, 3] - values[:, :, 0]) / (4 * h)
-    slopes, disagreement = (np.moveaxis(part, 1, -1) for part in ((4 * once - twice) / 3, np.abs(once - twice)))
-    if judge is not None:
-        judge(slopes, disagreement)
-    return slopes
-
-
-def _by_time(host: Host, points: Float[np.ndarray, "points m"]) -> np.ndarray:
-    later = np.eye(points.shape[1])[0] * _LATER
-    return sum(weight * host(points + count * later) for count, weight in enumerate(_WEIGHTS)) / np.asarray(_LATER)
-
-
 def differentiable(
-    host: Host, shape: tuple[int, ...], steps: Steps, judge: Judge | None = None, *, exacter: Host | None = None
+    host: Host,
+    shape: tuple[int, ...],
+    step: float,
+    sizes: Float[np.ndarray, " n"],
+    *,
+    judge: Judge | None = None,
+    exacter: Host | None = None,
 ) -> Any:
     """A host, whose values have a shape, as a function of JAX of a time and a vector of numbers.
 
-    `exacter`: the same with less noise, for differences.
+    - `step`: that of differences, relative to a number, or to its usual size where it is about zero;
+    - `exacter`: the same host with less noise, for differences.
 
     Derivatives of all orders exist in all modes: by the numbers to about the fourth power of a step relative to the
     scale on which the host changes; first ones are judged. Those by time cost nothing where it is not differentiated.
@@ -219,6 +174,24 @@ def differentiable(
     def batch(points: Any) -> np.ndarray:
         points = np.asarray(points, dtype=float)
         return host(points.reshape(-1, points.shape[-1])).reshape(*points.shape[:-1], *shape)
+
+    def slopes(points: Float[np.ndarray, "points m"]) -> Float[np.ndarray, "points ..."]:
+        """Derivatives by the numbers, on a last axis: by four points about each, of fourth order."""
+        z, (count, m) = points[:, 1:], points.shape
+        h = step * np.where(np.abs(z) > 1e-6 * sizes, np.abs(z), sizes)
+        moves = h[:, :, None, None] * _ABOUT[:, None] * np.eye(m)[1:, None]
+        values = (exacter or host)((points[:, None, None] + moves).reshape(-1, m)).reshape(count, m - 1, 4, *shape)
+        h = h.reshape(*h.shape, *(1,) * len(shape))
+        once = (values[:, :, 2] - values[:, :, 1]) / (2 * h)
+        twice = (values[:, :, 3] - values[:, :, 0]) / (4 * h)
+        found, disagreement = (np.moveaxis(part, 1, -1) for part in ((4 * once - twice) / 3, np.abs(once - twice)))
+        if judge is not None:
+            judge(found, disagreement)
+        return found
+
+    def by_time(points: Float[np.ndarray, "points m"]) -> np.ndarray:
+        later = np.eye(points.shape[1])[0] * _LATER
+        return sum(weight * host(points + count * later) for count, weight in enumerate(_WEIGHTS)) / np.asarray(_LATER)
 
     @jax.custom_jvp
     def function(t: Float[Array, ""], z: Float[Array, " n"]) -> Array:
@@ -230,10 +203,9 @@ def differentiable(
         value = function(t, z)
         moved = jnp.zeros_like(value)
         if not isinstance(change, SymbolicZero) and len(z):
-            slopes = differentiable(partial(_slopes, exacter or host, steps, judge), (*shape, len(z)), steps)
-            moved = moved + slopes(t, z) @ change
+            moved = moved + differentiable(slopes, (*shape, len(z)), step, sizes)(t, z) @ change
         if not isinstance(later, SymbolicZero):
-            moved = moved + differentiable(partial(_by_time, host), shape, steps)(t, z) * later
+            moved = moved + differentiable(by_time, shape, step, sizes)(t, z) * later
         return value, moved
 
     function.defjvp(rule, symbolic_zeros=True)

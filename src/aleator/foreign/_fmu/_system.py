@@ -3,7 +3,6 @@
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any, final
 
 import equinox as eqx
@@ -18,7 +17,7 @@ from aleator._core.errors import ProblemError, SimulationError, SimulationWarnin
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
 from aleator.foreign._fmu._fmu import Fmu
-from aleator.foreign._fmu._simulation import differentiable, relative_steps
+from aleator.foreign._fmu._simulation import differentiable
 
 # Relative to a number. The error of differences, of the fourth order of the step, is about 1e-12 of a smooth function.
 _STEP = 1e-3
@@ -50,7 +49,7 @@ class FmuSystem(System):
     """
 
     parameters: dict[str, Any]
-    _equations: "Equations" = eqx.field(static=True)
+    _equations: "_Equations" = eqx.field(static=True)
 
     def __init__(self, fmu: Fmu, parameters: Mapping[str, Any] | None = None, *, outputs: Sequence[str] | None = None):
         one_of("FmuSystem", fmu, Fmu, "Fmu('pendulum.fmu')")
@@ -62,11 +61,12 @@ class FmuSystem(System):
         given = one_of(f"FmuSystem: parameters of '{fmu.name}'", parameters or {}, Mapping, "{'damping': 0.1}")
         self.parameters = {
             name: value if isinstance(value, AbstractLeaf | Tracer) else real(f"FMU '{fmu.name}': '{name}'", value)
-            for name, value in zip(fmu.variables.settable(given), given.values(), strict=True)
+            for name, value in zip(fmu.checked(given), given.values(), strict=True)
         }
         numbers = {name: value if isinstance(value, float) else None for name, value in self.parameters.items()}
         free = [name for name in fmu.inputs if name not in numbers]
-        self._equations = Equations(fmu, numbers, free, fmu.variables.readable(outputs))
+        read = fmu.outputs if outputs is None else fmu.checked(outputs, is_set=False)
+        self._equations = _Equations(fmu, numbers, free, read)
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -77,7 +77,7 @@ class FmuSystem(System):
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
         """The units that the FMU declares."""
-        return self._equations.fmu.variables.units(self._equations.outputs)
+        return self._equations.fmu.units(self._equations.outputs)
 
     @override
     def initial(self) -> Mapping[str, Any]:
@@ -86,8 +86,7 @@ class FmuSystem(System):
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         del t
-        values = jnp.concatenate([self._inputs(inputs), self._numbers()])
-        state = self._equations.initial()(0.0, values) if len(values) else self._equations.first["states"].tolist()
+        state = self._equations("initial", 0.0, self._inputs_and_numbers(inputs))
         return dict(zip(self.states, state, strict=True))
 
     @override
@@ -101,21 +100,17 @@ class FmuSystem(System):
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
         del args
-        place = jnp.concatenate([_array(z), self._inputs(inputs), self._numbers()])
-        values, n = self._equations.rates()(t, place), len(self._equations.fmu.states)
+        place = jnp.concatenate([_array(z), self._inputs_and_numbers(inputs)])
+        values, n = self._equations("rates", t, place), len(self._equations.fmu.states)
         return tuple(values[:n]), {name: values[n + index] for index, name in enumerate(self._equations.outputs)}
 
-    def _numbers(self) -> Array:
+    def _inputs_and_numbers(self, given: Mapping[str, Any]) -> Float[Array, " n"]:
+        """All inputs that are no parameters, as they are given or as the FMU has them; then all parameters."""
+        equations = self._equations
+        equations.fmu.refuse_other_inputs(given, equations.inputs)
+        own = dict(zip(equations.inputs, equations.first["inputs"].tolist(), strict=True))
         # By name: trees of JAX sort what is in a dict.
-        return _array([self.parameters[name] for name in self._equations.numbers])
-
-    def _inputs(self, given: Mapping[str, Any]) -> Array:
-        """All inputs that are no parameters: as they are given, or as the FMU has them."""
-        own = dict(zip(self._equations.inputs, self._equations.first["inputs"].tolist(), strict=True))
-        for name in self._equations.fmu.variables.inputs(given):
-            if name not in own:
-                raise ProblemError(f"FmuSystem: the input '{name}' is among the parameters; give it once.")
-        return _array((own | dict(given)).values())
+        return _array([*(own | dict(given)).values(), *(self.parameters[name] for name in equations.numbers)])
 
 
 def _array(values: Any) -> Float[Array, " n"]:
@@ -123,7 +118,7 @@ def _array(values: Any) -> Float[Array, " n"]:
 
 
 @final
-class Equations:
+class _Equations:
     """The equations of an FMU as functions of JAX; `inputs`, `outputs`: names; `first`: how they begin.
 
     `numbers`: its parameters with their values, as far as these are known.
@@ -133,6 +128,7 @@ class Equations:
 
     def __init__(self, fmu: Fmu, numbers: dict[str, float | None], inputs: list[str], outputs: list[str]):
         self.fmu, self.numbers, self.inputs, self.outputs = fmu, numbers, inputs, outputs
+        self._names = list(numbers), inputs, outputs
         self.first: dict[str, Any] = fmu.door.ask("first", numbers, inputs, where=" at its initial state")
         if (count := fmu.indicators) or self.first["is_timed"]:
             events = f"{count} event indicator{'s' * (count > 1)}" if count else "time events"
@@ -144,43 +140,35 @@ class Equations:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as what it was made of."""
-        return Equations, (self.fmu, self.numbers, self.inputs, self.outputs)
+        return _Equations, (self.fmu, self.numbers, self.inputs, self.outputs)
 
-    def rates(self) -> Any:
-        """Rates of the states, then outputs, of the time and of states, inputs and parameters in one vector."""
-        sizes = np.concatenate([self.first["nominals"], self._sizes()])
-        host = partial(self._values, "rates", list(self.numbers), self.inputs, self.outputs)
-        return differentiable(host, (len(self.fmu.states) + len(self.outputs),), relative_steps(_STEP, sizes))
-
-    def initial(self) -> Any:
-        """The initial state, of a time that is left aside and of inputs and parameters in one vector."""
-        host = partial(self._values, "initial", [*self.inputs, *self.numbers])
-        return differentiable(host, (len(self.fmu.states),), relative_steps(_STEP, self._sizes()))
-
-    def _sizes(self) -> Float[np.ndarray, " n"]:
-        return self.fmu.variables.nominals([*self.inputs, *self.numbers])
-
-    def _values(self, method: str, *arguments: Any) -> Float[np.ndarray, "points values"]:
-        """Values at points, the last argument; NaN with a `SimulationWarning` where the FMU fails.
-
-        An exception would end a search that may well turn back.
+    def __call__(self, method: str, t: Any, place: Float[Array, " n"]) -> Float[Array, " values"]:
+        """The "rates" of the states, then outputs, of states, inputs and parameters; or the "initial" state, without
+        states before these.
         """
-        try:
-            values, reason = self.fmu.door.ask(method, *arguments, where=" at one of its equations' points")
-        except SimulationError as error:
-            size = len(self.fmu.states) + (len(self.outputs) if method == "rates" else 0)
-            values, reason = np.full((len(arguments[-1]), size), np.nan), str(error)
-        if reason:
-            warnings.warn(reason, SimulationWarning, stacklevel=2)
-        return values
+        names, sizes = self._names, self.fmu.sizes([*self.inputs, *self.numbers])
+        if method == "rates":
+            sizes = np.concatenate([self.first["sizes"], sizes])
+        size = len(self.fmu.states) + (len(self.outputs) if method == "rates" else 0)
+
+        def values(points: Float[np.ndarray, "points m"]) -> Float[np.ndarray, "points values"]:
+            # NaN with a warning where the FMU fails: an exception would end a search that may well turn back.
+            try:
+                found, reason = self.fmu.door.ask(method, names, points, where=" at one of its equations' points")
+            except SimulationError as error:
+                found, reason = np.full((len(points), size), np.nan), str(error)
+            if reason:
+                warnings.warn(reason, SimulationWarning, stacklevel=2)
+            return found
+
+        return differentiable(values, (size,), _STEP, sizes)(t, place)
 
     def _refuse_memory(self) -> None:
         """Raise `ProblemError` if values at a place depend on where the FMU was before, as those of delays do."""
-        x, sizes, signs = self.first["states"], self.first["nominals"], np.cos(np.arange(len(self.first["states"])))
+        x, sizes, signs = self.first["states"], self.first["sizes"], np.cos(np.arange(len(self.first["states"])))
         rest = [self.first["inputs"], self.first["parameters"]]
         points = np.stack([np.concatenate([[0.0], x + away * signs * sizes, *rest]) for away in _AWAY])
-        chosen = list(self.numbers), self.inputs, self.outputs
-        values, reason = self.fmu.door.ask("rates", *chosen, points, where=" near its initial state")
+        values, reason = self.fmu.door.ask("rates", self._names, points, where=" near its initial state")
         if not np.isfinite(values[0]).all():
             raise SimulationError(reason or f"FMU '{self.fmu.name}': a rate or an output is not finite at its start.")
         differences = np.abs(values[2::2] - values[0])
