@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 import aleator as al
-from aleator import cli, studies
+from aleator import studies
 from aleator.cli._terminal import fitted
 from aleator.reporting import Table, Verdict, values_text
 from aleator.studies import Draft
@@ -86,7 +86,7 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, mon
     def taken(folder: Path):
         raise al.ProblemError(f"Another process writes into '{folder}'.")
 
-    monkeypatch.setattr(cli._course, "only_writer", taken)
+    monkeypatch.setattr("aleator.journalling._journal.only_writer", taken)
     result = run(study := Rehearsal(), "--out", str(tmp_path))
     assert result.exit_code == 2
     assert study.begun == []

@@ -124,8 +124,8 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
     (here / "bar.toml").write_text("")
     files = {file: file.read_bytes() for file in here.rglob("res*/**/*") if file.is_file()}
     for command, advice in (
-        ((*SWEEP, "0.5", "--out", "results"), "--out results-over-stress"),
-        (("run", "bar.py"), "--out results/bar-py"),
+        ((*SWEEP, "0.5", "--out", "results"), "name another folder by --out"),
+        (("run", "bar.py"), "name another folder by --out"),
         (("validate", "bar.py"), "The results of `aleator run bar.toml` are in 'results/bar'"),
     ):
         result = aleator(*command)
@@ -143,7 +143,7 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
         (("run", "bar.py", "--workers", "2"), "nothing to share among processes: expected `sweeps` or `wishes`"),
         ((*SWEEP, "1;2"), "expected numbers with commas between them"),
         ((*SWEEP, "1", "--design", "robot"), "Did you mean 'robust'"),
-        (("runn", "bar.py"), "No such command 'runn'"),
+        (("runn", "bar.py"), "invalid choice: 'runn'"),
         (("resume", "nowhere"), "There is no 'command.json' in 'nowhere'"),
         (("validate", "empty"), "there is no finished design in 'empty'"),
         (("compare", "empty"), "two folders or more"),

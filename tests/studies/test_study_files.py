@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from typer.testing import CliRunner
 
 import aleator as al
-from aleator import cli
+import command_line
 from aleator.studies import Study, load
 from zoo import SPREAD
 
@@ -97,7 +96,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def aleator(*arguments: str):
     """The exit code of a command, and what it says in one line."""
-    result = CliRunner().invoke(cli.application, list(arguments))
+    result = command_line.aleator(*arguments)
     return result.exit_code, " ".join(result.output.split())
 
 

@@ -23,15 +23,20 @@ from aleator._core.journalled import AbstractParts
 from aleator._core.programs import is_private
 from aleator.reporting import KINDS, tree, write_whole
 
+FINISHED = "finished"
+"""The folder of results in a run's folder."""
+
 _OBJECT, _KEY = "object", "key"
 _OTHERS = 0o022  # may write
+_NAMED = 24  # characters of a digest in the name of a file
 _DIGEST = hashlib.sha256().digest_size
 
 
-def write(path: Path, result: Any, key: str) -> str:
-    """Write a result with its key, atomically, for its owner alone to change; returns the digest of its file.
+def write(folder: Path, what: str, result: Any, key: str) -> tuple[str, str]:
+    """Write a result with its key into a run's folder, atomically, for its owner alone to change.
 
-    Raises `ProblemError` if it cannot be written, or holds what no other process could read.
+    Returns its file, named by its content so that it takes no other's place, and the digest of this. Raises
+    `ProblemError` if it cannot be written, or holds what no other process could read.
     """
     import xarray
 
@@ -43,11 +48,13 @@ def write(path: Path, result: Any, key: str) -> str:
     about = {"long_name": "the result as Python's pickle, for al.load", _KEY: key}
     nodes[_OBJECT] = xarray.DataArray(np.frombuffer(content, dtype=np.uint8), dims=("byte of the object",), attrs=about)
     data = bytes(nodes.to_netcdf(engine="h5netcdf"))
-    write_private(path, data)
-    return hashlib.sha256(data).hexdigest()
+    digest = hashlib.sha256(data).hexdigest()
+    file = f"{FINISHED}/{what.split()[0]}-{digest[:_NAMED]}.nc"
+    _write_private(folder / file, data)
+    return file, digest
 
 
-def write_private(path: Path, data: bytes) -> None:
+def _write_private(path: Path, data: bytes) -> None:
     """Write a file atomically that its owner alone may change. Raises `ProblemError` if it cannot be written."""
     written = write_whole(path, lambda file: file.write_bytes(data))
     written.chmod(written.stat().st_mode & ~_OTHERS)
@@ -62,7 +69,7 @@ def damage(path: Path, digest: str) -> str:
     return "" if hashlib.sha256(content).hexdigest() == digest else "its file is not what was written"
 
 
-def read_private(path: Path) -> bytes:
+def _read_private(path: Path) -> bytes:
     """The content of a file. Raises `ProblemError` if it cannot be read, or if others could have written it."""
     try:
         with path.open("rb") as file:
@@ -83,24 +90,21 @@ def read(path: Path, digest: str, key: str) -> Any:
     """
     import h5py
 
-    data = read_private(path)
+    data = _read_private(path)
     if hashlib.sha256(data).hexdigest() != digest:
         raise ProblemError(f"'{path}' is not what was written there.")
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             variable: Any = file[_OBJECT]
-            content, own_key = variable[()].tobytes(), variable.attrs[_KEY]
-        if own_key != key:
-            raise ProblemError(f"'{path}' holds another result than the journal says.")
-        return pickle.loads(content)
+            if variable.attrs[_KEY] == key:
+                return pickle.loads(variable[()].tobytes())
     except ModuleNotFoundError as error:
         raise ProblemError(
             f"'{path}' needs the module '{error.name}', in which its model is written: import it first."
         ) from error
-    except ProblemError:
-        raise
     except Exception as error:  # neither pickle nor h5py has a common one
         raise ProblemError(f"'{path}' cannot be read ({type(error).__name__}: {error}).") from error
+    raise ProblemError(f"'{path}' holds another result than the journal says.")
 
 
 @final
@@ -112,12 +116,12 @@ class Parts(AbstractParts):
     """
 
     def __init__(self, folder: Path, key: str, warn: Callable[[str], None], *, recalls: bool = True):
-        self._folder, self._key, self._warn, self._recalls = folder, key, warn, recalls
+        self._folder, self._key, self._warn, self._recalls = folder, key[:_NAMED], warn, recalls
 
     @override
     def recall(self, number: int) -> Any:
         try:
-            data = read_private(self._place(number)) if self._recalls else b""
+            data = _read_private(self._place(number)) if self._recalls else b""
         except ProblemError:  # it is missing, or others could have written it
             return None
         digest, content = data[:_DIGEST], data[_DIGEST:]
@@ -128,7 +132,7 @@ class Parts(AbstractParts):
     def keep(self, number: int, part: Any) -> None:
         content = pickle.dumps(part)
         try:
-            write_private(self._place(number), self._digest(number, content) + content)
+            _write_private(self._place(number), self._digest(number, content) + content)
         except (ProblemError, OSError) as error:
             self._warn(f"a part of a result is not kept: {error}")
 
