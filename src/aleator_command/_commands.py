@@ -170,9 +170,7 @@ COMMANDS = {
     ),
     "report": Command(
         [
-            "Write the page of what is in a run's folder, without computing anything, and say what is missing.",
-            "Where the study's file has gone, or cannot be read any more, the page shows the designs that the folder "
-            "keeps.",
+            "Write the page of a run from what is in its folder, without computing anything, and say what is missing.",
             "Another process may be running there. A page that is there is not replaced by one from which something is "
             "missing: this one is written beside it, as report-so-far.html.",
         ],

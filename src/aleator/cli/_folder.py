@@ -13,14 +13,12 @@ from typing import final
 import aleator
 from aleator import studies
 from aleator._core.border import content_of, json_of
-from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.errors import ProblemError
 from aleator.reporting import json_text, write_whole
 from aleator.studies import AbstractStudy, SweptStudy
 
 RECORD = "command.json"
 """The file in a run's folder that says what began it."""
-
-_FILES = ".py", ".toml"
 
 
 @final
@@ -28,8 +26,8 @@ _FILES = ".py", ".toml"
 class Record:
     """The command that began a run.
 
-    - `study`: its name, file or module, as given; `quick`: of `aleator run`;
-    - `directory`: where the command was given; `beside`: the study's file, relative to the run's folder;
+    - `study`: its name, file or module; a file is noted by its path from the run's folder, so that both may move;
+    - `quick`: of `aleator run`; `directory`: where the command was given, from which modules are imported;
     - `workers`: processes that share the work, None if the study shall say;
     - `bound`, `values`, `design`: of `aleator sweep`;
     - `source`: a digest of the study's file and of the versions that computed; see `staleness`.
@@ -38,7 +36,6 @@ class Record:
     study: str
     quick: bool = False
     directory: str = ""
-    beside: str = ""
     bound: str = ""
     values: tuple[float, ...] = ()
     design: str | None = None
@@ -47,31 +44,36 @@ class Record:
 
     @classmethod
     def of(cls, folder: Path) -> "Record":
-        """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
-        path = folder / RECORD
+        """What began the run of a folder, as it was noted; modules beside its study can be imported from now on.
+
+        Raises `ProblemError` if the folder does not say.
+        """
         try:
-            noted = json_of(content_of(path))
-            return cls(**{**noted, "values": tuple(noted["values"])})
-        except FileNotFoundError:
-            raise ProblemError(
-                f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has "
-                "begun. Name the study instead, or run your script again."
-            ) from None
+            noted = json_of(content_of(folder / RECORD))
+            record = cls(**{**noted, "values": tuple(noted["values"])})
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ProblemError(
-                f"'{path}' does not say what began the run ({type(error).__name__}: {error}): remove this file, and "
-                "run the study by its name, with --out for this folder."
+                f"There is no '{RECORD}' in '{folder}' that says what began its run ({error}): name the study instead, "
+                "with --out for this folder, or run your script again."
             ) from error
+        if record.is_file:
+            record = replace(record, study=str((folder / record.study).resolve()))
+        studies.importable(Path(record.study).parent if record.is_file else Path(record.directory))
+        return record
+
+    def write(self, folder: Path) -> None:
+        """Note it in the run's folder, with what finds the study again, and its source."""
+        study = self.study
+        if self.is_file:
+            with suppress(ValueError):  # on another drive of Windows
+                study = os.path.relpath(Path(study).resolve(), folder.resolve())
+        text = json_text(asdict(replace(self, study=study, directory=str(Path.cwd()), source=self._source())))
+        write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
 
     @property
     def is_file(self) -> bool:
         """Whether the study is a file, not a name or a module."""
-        return self.study.endswith(_FILES)
-
-    def __str__(self) -> str:
-        bound = f" --bound {self.bound}" if self.bound else ""
-        design = f" --design {self.design}" if self.design else ""
-        return f"aleator {'sweep' if self.bound else 'run'} {self.study}{bound}{design}"
+        return self.study.endswith((".py", ".toml"))
 
     @property
     def folder(self) -> Path:
@@ -83,6 +85,11 @@ class Record:
         name = f"{study.rpartition('.')[2]}{f'-over-{self.bound}' if self.bound else ''}"
         return Path("results") / re.sub(r"[^\w.-]+", "-", name).strip("-")
 
+    def __str__(self) -> str:
+        bound = f" --bound {self.bound}" if self.bound else ""
+        design = f" --design {self.design}" if self.design else ""
+        return f"aleator {'sweep' if self.bound else 'run'} {self.study}{bound}{design}"
+
     def made(self) -> AbstractStudy:
         """The study, ready to run. Raises `ProblemError` if there is no such study, or none such."""
         study = studies.load(self.study, quick=self.quick)
@@ -90,94 +97,48 @@ class Record:
             return SweptStudy(study, self.bound, self.values, design=self.design, workers=self.workers)
         return study if self.workers is None else study.with_workers(self.workers)
 
-    def located(self, folder: Path) -> "Record":
-        """The same, with the study's file where it is now; its modules can be imported from now on.
-
-        Raises `ProblemError` if it has gone.
-        """
-        if not self.is_file:
-            studies.importable(Path(self.directory))
-            return self
-        places = self._places(folder)
-        for place in places:
-            if place.is_file():
-                return replace(self, study=str(place))
-        studies.importable(*(place.parent for place in places if place.parent.is_dir()))
-        raise ProblemError(
-            f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run "
-            "it where it is now, with --out for this folder."
-        )
-
-    def _places(self, folder: Path) -> list[Path]:
-        """Where the study's file may be: as it was given, or as it lies from the run's folder."""
-        return [Path(self.directory) / self.study, folder / self.beside]
-
     def check_owns(self, folder: Path) -> None:
         """Refuse a folder that another study has begun, or another sweep: its results would be replaced.
 
-        Raises `ProblemError`; also where the folder does not say what began it.
+        Where the file of that study has gone, it may be this one, of its name. Raises `ProblemError`.
         """
         if not (folder / RECORD).is_file():
             return
         other, own = Record.of(folder), Path(self.study)
         is_same = self.study == other.study
-        if self.is_file and other.is_file:  # wherever it is now
-            places = [place.resolve() for place in other._places(folder) if place.is_file()]
-            is_same = own.resolve() in places if places else own.name == Path(other.study).name
+        if self.is_file and other.is_file:
+            there = Path(other.study)
+            is_same = own.resolve() == there.resolve() if there.is_file() else own.name == there.name
         if not is_same or (self.bound, self.design) != (other.bound, other.design):
             raise ProblemError(
                 f"The results of `{other}` are in '{folder}', and `{self}` would replace them: name another folder by "
                 "--out, or remove that one."
             )
 
-    def write(self, folder: Path) -> None:
-        """Note it in the run's folder, with the places from which the study can be found again, and its source."""
-        beside = ""
-        if self.is_file:
-            with suppress(ValueError):  # on another drive of Windows
-                beside = os.path.relpath(Path(self.study).resolve(), folder.resolve())
-        noted = replace(self, directory=str(Path.cwd()), beside=beside, source=_source(self.study))
-        text = json_text(asdict(noted))
-        write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
+    def staleness(self, folder: Path) -> str:
+        """A sentence if the study of a folder has been edited since, or aleator or JAX has another version; else empty.
+
+        Empty also where its file has gone.
+        """
+        if self.source == self._source() or (self.is_file and not Path(self.study).is_file()):
+            return ""
+        return (
+            f"'{folder}' is stale: its study, or the version of aleator or JAX, has changed since the run. "
+            f"`aleator resume {folder}` runs it again."
+        )
+
+    def _source(self) -> str:
+        """A digest of the text of the study's file or module, and of versions; a case study is a part of aleator."""
+        file = self.study if self.is_file else ""
+        if not self.is_file and self.study not in studies.STUDIES:
+            with suppress(ImportError, ValueError):
+                file = getattr(find_spec(self.study.partition(":")[0]), "origin", "") or ""
+        digest = hashlib.sha256(f"{aleator.__version__} {version('jax')} ".encode())
+        with suppress(OSError):
+            digest.update(content_of(file))
+        return digest.hexdigest()
 
 
 def staleness(folder: Path) -> str:
-    """A sentence if the study of a folder has been edited since its run, or aleator or JAX has another version.
-
-    Empty where that is not so, where the study has gone, and where the folder names none.
-    """
-    try:
-        record = Record.of(folder).located(folder)
-    except ProblemError:
-        return ""
-    if record.source == _source(record.study):
-        return ""
-    return (
-        f"'{folder}' is stale: its study, or the version of aleator or JAX, has changed since the run. "
-        f"`aleator resume {folder}` runs it again."
-    )
-
-
-def _source(study: str) -> str:
-    """A digest of the text of a study's file or module, and of the versions; a case study is a part of aleator."""
-    file = study if study.endswith(_FILES) else ""
-    if not file and study not in studies.STUDIES:
-        with suppress(ImportError, ValueError):
-            file = getattr(find_spec(study.partition(":")[0]), "origin", "") or ""
-    digest = hashlib.sha256(f"{aleator.__version__} {version('jax')} ".encode())
-    with suppress(OSError):
-        digest.update(content_of(file))
-    return digest.hexdigest()
-
-
-def study_of(folder: Path) -> tuple[AbstractStudy | None, str]:
-    """The study that began the run of a folder; or none, and why, if it cannot be loaded any more.
-
-    Modules beside its file can be imported from now on, also where the file has gone.
-    """
-    if not (folder / RECORD).is_file():
-        return None, ""
-    try:
-        return Record.of(folder).located(folder).made(), ""
-    except AleatorError as error:
-        return None, f"{error}"
+    """A sentence if the study of a folder is another than that of its run; empty where it is not, or none is noted."""
+    return Record.of(folder).staleness(folder) if (folder / RECORD).is_file() else ""

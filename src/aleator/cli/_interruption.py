@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, final
+from typing import final
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
 
@@ -33,7 +33,7 @@ class Interruptions:
 
     def __init__(self, end: Callable[[int], object]):
         self._end, self._is_shielded, self._is_raised = end, False, False
-        self._speaker, self._deadline = threading.Lock(), threading.Event()
+        self._speaker = threading.RLock()
         self.received: int | None = None
 
     def __enter__(self) -> "Interruptions":
@@ -50,12 +50,12 @@ class Interruptions:
         return self
 
     def __exit__(self, *ended: object) -> None:
+        self.conclude()
         for number, before in self._before.items():
             signal.signal(number, before)
         signal.set_wakeup_fd(self._descriptor)
         sys.unraisablehook = self._unraisable
         logging.disable(self._logging)
-        self._deadline.set()
         self._mouth.close()
         self._watcher.join()
         self._ear.close()
@@ -78,7 +78,7 @@ class Interruptions:
             raise KeyboardInterrupt
 
     def conclude(self) -> None:
-        """Let the main thread say the last word; does not return if the watching thread is about to do so."""
+        """Leave the last word to the main thread, unless another is about to say it and to end the process."""
         self._speaker.acquire()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
@@ -93,7 +93,7 @@ class Interruptions:
         self._is_raised = True
         # Libraries, and Python where it cannot propagate it, would print the exception.
         logging.disable()
-        sys.unraisablehook = _say_nothing
+        sys.unraisablehook = lambda _: None
         raise KeyboardInterrupt
 
     def _watch(self) -> None:
@@ -108,15 +108,11 @@ class Interruptions:
                 self._end_at_once()
 
     def _wait(self) -> None:
-        """In a third thread: end the process if the main thread has not come to its end, or to its results, in time."""
-        if not self._deadline.wait(_PATIENCE) and not self._is_shielded:
+        """In a third thread: end the process if the main thread has come neither to its end nor to its results."""
+        time.sleep(_PATIENCE)
+        if not self._is_shielded:
             self._end_at_once()
 
     def _end_at_once(self) -> None:
         if self._speaker.acquire(blocking=False):
             self._end(self.exit_code)
-
-
-def _say_nothing(unraisable: Any) -> None:
-    """Print nothing of an exception that Python cannot propagate, such as one inside a destructor."""
-    del unraisable

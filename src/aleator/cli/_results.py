@@ -1,18 +1,17 @@
-"""`aleator check`, `list` and `validate`: what a study will do, what a folder has, and how often its limits break."""
+"""`aleator check` and `validate`: what a study will do, and how often the limits of its designs break."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from aleator import studies
 from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.cli._designs import designs_and_evidence, designs_table
-from aleator.cli._folder import Record, staleness, study_of
-from aleator.cli._terminal import FAILED, Progress, Terminal
+from aleator.cli._folder import RECORD, Record, staleness
+from aleator.cli._kept_runs import designs_table
+from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
-from aleator.journalling import Journal, examined, journal, listing, numbered
+from aleator.journalling import Journal, journal
 from aleator.reporting import evidence_document, evidence_table, solution_document
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
@@ -25,30 +24,12 @@ def check(terminal: Terminal, study: str) -> int:
     """Print what a study will do."""
     checked = Check(studies.load(study))
     for problem in checked.mathematics():
-        terminal.title(problem.heading)
-        terminal.tell(problem.text)
+        terminal.tell(f"{problem.heading}\n{problem.text}")
     for table in filter(None, [checked.numbers(), checked.table()]):
         terminal.table(table)
     for trouble in checked.troubles:
-        terminal.look_at(trouble)
+        terminal.tell(f"look at: {trouble}")
     terminal.note(study=study, problems=checked.document(), look_at=checked.troubles)
-    return 0
-
-
-def listed(terminal: Terminal, folder: Path) -> int:
-    """List the results in a run's folder."""
-    entries, is_stale = examined(folder), staleness(folder)
-    names = {entry.key: name for name, entry in numbered(entries).items()}
-    terminal.tell(listing(folder, entries))
-    if is_stale:
-        terminal.look_at(is_stale)
-    told = ("name", "what", "why", "file", "host", "process", "since")
-    results = [
-        {name: value for name, value in asdict(entry).items() if name in told}
-        | {"load": names.get(entry.key), "state": entry.state.value, "seconds": entry.seconds or None}
-        for entry in entries
-    ]
-    terminal.note(folder=str(folder), stale=bool(is_stale), results=results)
     return 0
 
 
@@ -60,18 +41,21 @@ def validate(terminal: Terminal, place: str, samples: int, seed: int, design: st
     break (`violations`).
     """
     folder, record = Path(place), Record(place)
-    if folder.is_dir():
-        study, why = study_of(folder)
-    else:
-        study, folder, why = record.made(), record.folder, ""
+    if not folder.is_dir():
+        folder = record.folder
         record.check_owns(folder)
+    elif (folder / RECORD).is_file():
+        record = Record.of(folder)
+    else:  # of a script
+        record = None
     if is_stale := staleness(folder):
         raise ProblemError(f"validate: {is_stale}")
+    study = None if record is None else record.made()
     evidence, documents = dict[str, Evidence](), dict[str, dict[str, Any]]()
-    with executor_of(workers) as executor, journal(folder) as results, Progress(terminal.console) as progress:
-        for name, one in _selected(study, why, results, design).items():
-            step, begun = f"evidence on {name}", results.begun
-            progress.begin(step)
+    with executor_of(workers) as executor, journal(folder) as results:
+        for name, one in _selected(study, results, design).items():
+            begun = results.begun
+            terminal.begin(f"evidence on {name}")
             try:
                 solving = {} if study is None else study.solving
                 solution = one if isinstance(one, Solution) else solve(one, **solving, throw=False)
@@ -85,13 +69,13 @@ def validate(terminal: Terminal, place: str, samples: int, seed: int, design: st
                 documents[name]["solved_anew"] = is_new
                 if not solution.ok:
                     raise ProblemError(solution.why())
-                how: dict[str, Any] = {"seed": seed, "executor": executor, "progress": progress.show}
+                how: dict[str, Any] = {"seed": seed, "executor": executor, "progress": terminal.progress}
                 evidence[name] = validated(solution, samples, **how)
                 documents[name] |= evidence_document(evidence[name])
             except AleatorError as error:  # the others go on
                 documents.setdefault(name, {})["why"] = f"{error}"
-                terminal.complain(error, f"error with '{name}'")
-            progress.end(step)
+                terminal.complain(f"{error}", f"error with '{name}': ")
+            terminal.end()
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=documents)
     if evidence:
         sampled = {name: solution_document(one.solution, one) for name, one in evidence.items()}
@@ -100,20 +84,19 @@ def validate(terminal: Terminal, place: str, samples: int, seed: int, design: st
     return 0 if len(evidence) == len(documents) else FAILED
 
 
-def _selected(
-    study: AbstractStudy | None, why: str, results: Journal, design: str | None
-) -> Mapping[str, Solution | Problem]:
-    """Designs of a folder, and problems that are to be solved first, by name."""
-    # A solution without a name in the folder of a study is no design of its run.
+def _selected(study: AbstractStudy | None, results: Journal, design: str | None) -> Mapping[str, Solution | Problem]:
+    """Designs of a folder, and problems that are to be solved first, by name.
+
+    Where a study names its designs (`designs/robust`), only these count, by the last part of their names.
+    """
+    solved = {name: one for name, one in results.finished().items() if isinstance(one, Solution) and one.ok}
     designs: dict[str, Solution | Problem] = {
-        name: solution
-        for name, solution in designs_and_evidence(results.finished())[0].items()
-        if solution.ok and (study is None or not name.startswith("solve "))
-    }
+        name.rpartition("/")[2]: one for name, one in solved.items() if "/" in name
+    } or {name: one for name, one in solved.items() if study is None or not name.startswith("solve ")}
     if study is not None and (not designs or (design is not None and design not in designs)):
         designs = {**problems_of(study), **designs}
     if not designs:
-        raise ProblemError(f"validate: there is no finished design in '{results.folder}' that can be read. {why}")
+        raise ProblemError(f"validate: there is no finished design in '{results.folder}' that can be read.")
     if design is None:
         return designs
     if design not in designs:

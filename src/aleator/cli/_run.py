@@ -9,7 +9,7 @@ from typing import Any, final
 from aleator._core.errors import AleatorError
 from aleator.cli._folder import RECORD, Record, staleness
 from aleator.cli._interruption import Interruptions
-from aleator.cli._terminal import FAILED, Progress, Terminal
+from aleator.cli._terminal import FAILED, Terminal
 from aleator.journalling import Journal, journal, numbered
 from aleator.reporting import by_place, check_writable, designs_document, words
 from aleator.solution import Solution
@@ -36,7 +36,7 @@ def begin(terminal: Terminal, out: Path | None, afresh: bool, **command: Any) ->
 
 def resume(terminal: Terminal, folder: Path, workers: int | None) -> int:
     """Go on with the run of a folder."""
-    record = Record.of(folder).located(folder)
+    record = Record.of(folder)
     record = replace(record, workers=record.workers if workers is None else workers)
     return _Run(terminal, folder).execute(record.made, record)
 
@@ -77,7 +77,7 @@ class _Run:
                 code = self._execute(self._page, results)
             except KeyboardInterrupt:
                 self._interruptions.conclude()
-                self._terminal.complain(self._last_words(), label="")
+                self._terminal.complain(self._last_words(), "")
                 code = self._interruptions.exit_code
         if self._mistake is not None:
             raise self._mistake
@@ -94,7 +94,7 @@ class _Run:
             raise KeyboardInterrupt
         for table in page.tables:
             self._terminal.table(table)
-        self._terminal.title(page.headline())
+        self._terminal.tell(page.headline())
         for path in self._paths:
             self._terminal.tell(f"wrote {path}")
         if results.taken:
@@ -121,13 +121,11 @@ class _Run:
                 self._mistake = self._mistake or error
 
     def _fill(self, page: Draft) -> None:
-        with Progress(self._terminal.console) as progress:
+        def ended(_: str) -> None:
+            self._name_results(page)
+            self._terminal.end()
 
-            def ended(name: str) -> None:
-                self._name_results(page)
-                progress.end(name)
-
-            page.fill(progress.show, progress.begin, ended)
+        page.fill(self._terminal.progress, self._terminal.begin, ended)
 
     def _name_results(self, page: Draft) -> None:
         """Let the journal know what the study calls its results, for `aleator validate` and `al.load`.

@@ -1,11 +1,11 @@
-"""`journal`: a folder in which every finished result is kept at once; `recalling`: what it has, for reading alone."""
+"""`journal`: a folder in which every finished result is kept at once; `load`, `recalling`: what it has, to be read."""
 
 import os
 import threading
 import time
 import warnings
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +13,29 @@ from typing import Any, final
 
 from typing_extensions import override
 
+from aleator._core.border import meant
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.identity import DoubtError, joined, lasting_digest, versions
 from aleator._core.journalled import AbstractJournal, NotKeptError, Place, called, journalling
 from aleator.design import Problem
 from aleator.journalling import _results
-from aleator.journalling._entries import FILE, Entry, State, entries_in, interrupted, numbered, read
+from aleator.journalling._entries import (
+    DONE,
+    FAILED,
+    FILE,
+    INFEASIBLE,
+    INTERRUPTED,
+    RUNNING,
+    STALE,
+    Entry,
+    entries_in,
+    interrupted,
+    listing,
+    numbered,
+    read,
+)
 from aleator.nlp import Status
-from aleator.reporting import check_writable, only_writer
+from aleator.reporting import as_path, check_writable, only_writer, words
 
 _CODE = "the model's code"
 _UNNOTICED = {"equations": _CODE, "function": _CODE, "versions": "aleator or a library"}
@@ -54,7 +69,7 @@ def journal(folder: str | Path, *, afresh: bool = False) -> "Iterator[Journal]":
             os.truncate(place / FILE, size)
         record = Journal(place, entries, writes=True, afresh=afresh)
         # Nobody else writes there any more.
-        record.append(*(interrupted(entry) for entry in entries.values() if entry.state is State.RUNNING))
+        record.append(*interrupted(entries).values())
         with journalling(record):
             yield record
 
@@ -65,40 +80,45 @@ def recalling(folder: Path) -> "Iterator[Journal]":
 
     Nothing is written, so that another process may be writing there. Raises `ProblemError` if there is no journal.
     """
-    record = Journal(folder, {entry.key: entry for entry in entries_in(folder)})
+    record = Journal(folder, entries_in(folder))
     with journalling(record):
         yield record
 
 
-@final
-class Keys:
-    """The keys of the results that this process knows. What follows from a result is identified by its key."""
+def load(folder: str | Path) -> "Journal":
+    """The results that `al.journal` or `aleator run` has kept in a folder, as objects: solutions and evidence by name.
 
-    def __init__(self) -> None:
-        self._keys = dict[int, tuple[weakref.ref[Any], str]]()
+    Each is read from its file when it is asked for. Names are those of what was done, counted in the order of their
+    beginnings: `"solve Cushion 1"`, `"validate Cushion 1"`; those that a study gives, such as `"designs/robust"`, are
+    known as well. `print(results)` shows all that was begun, with its state, who began it and when, and how long it
+    took; `results.entries` has this for programs.
 
-    def remember(self, result: Any, key: str) -> None:
-        """Note the key of a result. A plain value, such as a list, is told by its content instead."""
-        with suppress(TypeError):
-            self._keys[id(result)] = weakref.ref(result), key
+    Their model's module must be importable. Reading them runs code, as importing a module does: files are read only if
+    they belong to you, nobody else can write to them, and their content is what was written. Labelled numbers for
+    other programs are in netCDF files beside them, and in `results.nc`.
 
-    def of(self, result: Any) -> str:
-        """The key of a known result; empty for anything else."""
-        reference, key = self._keys.get(id(result), (None, ""))
-        return key if reference is not None and reference() is result else ""
+    Raises `ProblemError` if there is no journal, and, when a result is asked for, if it cannot be read.
+    """
+    place = as_path(folder)
+    return Journal(place, entries_in(place))
 
-    def identity(self, what: str, given: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
-        """The key of a result that follows from what is given, and digests of all this by name.
 
-        Raises `DoubtError` if another process could not tell whether it is the same.
-        """
-        parts = {"versions": versions()}
-        for name, one in given.items():
-            if isinstance(one, Problem):
-                parts |= {name: lasting_digest(_parts_of(one), declared=True), "equations": _equations(one)}
-            else:
-                parts[name] = lasting_digest(self.of(one) or one)
-        return joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))]), parts
+def identity(
+    what: str, given: Mapping[str, Any], key_of: Callable[[Any], str] = lambda _: ""
+) -> tuple[str, dict[str, str]]:
+    """The key of a result that follows from what is given, and digests of all this by name.
+
+    - `key_of`: the key of what is itself a result, by which it is identified; empty for anything else.
+
+    Raises `DoubtError` if another process could not tell whether it is the same.
+    """
+    parts = {"versions": versions()}
+    for name, one in given.items():
+        if isinstance(one, Problem):
+            parts |= {name: lasting_digest(_parts_of(one), declared=True), "equations": _equations(one)}
+        else:
+            parts[name] = lasting_digest(key_of(one) or one)
+    return joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))]), parts
 
 
 def _parts_of(problem: Problem) -> tuple[Any, ...]:
@@ -112,8 +132,8 @@ def _equations(problem: Problem) -> str:
 
 
 @final
-class Journal(AbstractJournal):
-    """The results of one folder, each read from its file when it is asked for.
+class Journal(AbstractJournal, Mapping[str, Any]):
+    """The results of one folder by name, each read from its file when it is asked for.
 
     - `entries`: what is known of them; `writes`: whether this process is the only writer, else it reads alone;
     - `afresh`: whether results of earlier processes are computed again;
@@ -123,8 +143,9 @@ class Journal(AbstractJournal):
 
     def __init__(self, folder: Path, entries: Mapping[str, Entry], *, writes: bool = False, afresh: bool = False):
         self.folder, self._known, self._writes, self._afresh = folder, dict(entries), writes, afresh
-        self._earlier = {key for key, entry in entries.items() if entry.is_finished}
-        self._keys, self._lock, self._warned = Keys(), threading.Lock(), set[str]()
+        self._earlier = {key for key, entry in entries.items() if entry.file}
+        self._keys = dict[int, tuple[weakref.ref[Any], str]]()  # of results that this process knows, by identity
+        self._lock, self._warned = threading.Lock(), set[str]()
         self.taken, self.begun, self.missing = set[str](), 0, list[str]()
 
     @property
@@ -132,27 +153,57 @@ class Journal(AbstractJournal):
         """What the journal says, in the order of beginnings."""
         return tuple(self._known.values())
 
-    def finished(self) -> dict[str, Any]:
-        """All results that can be read, by the names that a study gives them, or else those of `load`.
+    @override
+    def __getitem__(self, name: str) -> Any:
+        results = numbered(self.entries)
+        own = [number for number, entry in results.items() if name in (number, entry.name)]
+        if len(own) == 1:
+            return self._read(results[own[0]])
+        if own:
+            each = words([f"'{number}'" for number in own])
+            raise ProblemError(f"load: several results in '{self.folder}' are called '{name}': ask for one of {each}.")
+        known = [*results, *(entry.name for entry in results.values() if entry.name)]
+        raise ProblemError(f"load: there is no result '{name}' in '{self.folder}'.{meant(name, known)}")
 
-        Where several have one name, it is that of the last.
-        """
-        results, available = dict[str, Any](), numbered(self.entries)
-        last = {entry.name: number for number, entry in available.items() if entry.name}
-        for number, entry in available.items():
-            result = self._read(entry)
-            if result is not None:
-                results[entry.name if last.get(entry.name) == number else number] = result
+    @override
+    def __iter__(self) -> Iterator[str]:
+        return iter(numbered(self.entries))
+
+    @override
+    def __len__(self) -> int:
+        return len(numbered(self.entries))
+
+    @override
+    def __contains__(self, name: object) -> bool:
+        return any(name in (number, entry.name) for number, entry in numbered(self.entries).items())
+
+    def __str__(self) -> str:
+        return listing(self.folder, self._known)
+
+    def finished(self) -> dict[str, Any]:
+        """All results that can be read, by the names that a study gives them, or else those of `load`."""
+        results = dict[str, Any]()
+        for number, entry in numbered(self.entries).items():
+            try:
+                results[number if entry.name in ("", *results) else entry.name] = self._read(entry)
+            except ProblemError as error:
+                self._tell(f"{error}")
         return results
 
+    def _remember(self, result: Any, key: str) -> None:
+        """Note the key of a result. A plain value, such as a list, is told by its content instead."""
+        with suppress(TypeError):
+            self._keys[id(result)] = weakref.ref(result), key
+
+    def _key_of(self, result: Any) -> str:
+        """The key of a known result; empty for anything else."""
+        reference, key = self._keys.get(id(result), (None, ""))
+        return key if reference is not None and reference() is result else ""
+
     def _read(self, entry: Entry) -> Any:
-        """A finished result, None if it cannot be read. What follows from it is recognised from now on."""
-        try:
-            result = _results.read(self.folder / entry.file, entry.digest, entry.key)
-        except ProblemError as error:
-            self._tell(f"{error}{' It is computed again.' if self._writes else ''}")
-            return None
-        self._keys.remember(result, entry.key)
+        """A finished result; what follows from it is recognised from now on. Raises `ProblemError`."""
+        result = _results.read(self.folder / entry.file, entry.key)
+        self._remember(result, entry.key)
         return result
 
     @override
@@ -160,59 +211,68 @@ class Journal(AbstractJournal):
         problem = given.get("problem") or getattr(given.get("solution"), "problem", None)
         title = what if problem is None else f"{what} {type(problem.system).__name__}"
         try:
-            key, parts = self._keys.identity(what, given)
+            key, parts = identity(what, given, self._key_of)
         except DoubtError as doubt:
             self._tell(f"{title} is not kept: another run could not tell whether it is the same ({doubt}).")
-            if self._writes:
-                return Place()
-            raise NotKeptError(title) from None
+            return self._absent(title)
         known, is_earlier = self._known.get(key), key in self._earlier
         stays = is_earlier and self._afresh
-        if known is not None and known.is_finished and not stays and (result := self._read(known)) is not None:
-            self.taken |= {key} if is_earlier else set()
-            if known.state is State.STALE and self._writes:
-                self.append(replace(known, state=_state_of(result), why=""))
-            return Place(result)
+        if known is not None and known.file and not stays:
+            try:
+                result = self._read(known)
+            except ProblemError as error:
+                self._tell(f"{error}{' It is computed again.' if self._writes else ''}")
+            else:
+                self.taken |= {key} if is_earlier else set()
+                if known.state == STALE and self._writes:
+                    self.append(replace(known, state=_state_of(result), why=""))
+                return Place(result)
         if not self._writes:
             self._tell(f"{title} is missing.")
-            raise NotKeptError(title)
+            return self._absent(title)
         self._tell_changed(title, parts)
         self.begun += 1
-        return self._opened(Entry.begun(key, title, parts, called()), known, stays=stays)
+        name = known.name if known is not None and known.name else called()
+        return self._opened(Entry.begun(key, title, parts, name), stays=stays)
 
-    def _opened(self, begun: Entry, before: Entry | None, *, stays: bool) -> Place:
-        """The place of a result in the making; where one is known already that `stays` until then, it has no line."""
+    def _absent(self, title: str) -> Place:
+        """The place of what is not kept, whose work a reader ends."""
+        if not self._writes:
+            raise NotKeptError(title)
+        return Place()
+
+    def _opened(self, begun: Entry, *, stays: bool) -> Place:
+        """The place of a result in the making; where an earlier one `stays` until it is there, it has no line."""
         started = time.perf_counter()
-        parts = _results.Parts(self.folder / _results.FINISHED, begun.key, self.warn, recalls=not self._afresh)
+        parts = _results.Parts(self.folder, begun.key, self.warn)
+        if self._afresh:
+            parts.drop()
 
-        def end(state: State, why: str = "") -> None:
+        def end(state: str, why: str = "") -> None:
             if not stays:
                 self.append(replace(begun, state=state, why=why))
 
         def failed(error: BaseException) -> None:
-            state = State.INTERRUPTED if isinstance(error, KeyboardInterrupt) else State.FAILED
+            state = INTERRUPTED if isinstance(error, KeyboardInterrupt) else FAILED
             end(state, f"{type(error).__name__}: {error}")
 
         def keep(result: Any) -> None:
             """Write a result, then the line that says so."""
             seconds, state = time.perf_counter() - started, _state_of(result)
-            if state is State.INTERRUPTED:
+            if state == INTERRUPTED:
                 end(state)
                 return
             try:
-                file, digest = _results.write(self.folder, begun.what, result, begun.key)
+                file = _results.write(self.folder, begun.what, begun.key, result)
             except ProblemError as error:
                 self.warn(f"{begun.what} is not kept: {error}")
                 return
-            self._keys.remember(result, begun.key)
+            self._remember(result, begun.key)
             self._earlier.discard(begun.key)
-            name = before.name if before is not None and before.name else begun.name
-            noted = replace(begun, state=state, seconds=seconds, file=file, digest=digest, name=name)
-            if self.append(noted) and before is not None and before.file not in ("", file):
-                (self.folder / before.file).unlink(missing_ok=True)
+            self.append(replace(begun, state=state, seconds=seconds, file=file))
             parts.drop()
 
-        end(State.RUNNING)
+        end(RUNNING)
         return Place(parts=parts, keep=keep, failed=failed)
 
     def call(self, named: Mapping[str, Any]) -> None:
@@ -220,14 +280,14 @@ class Journal(AbstractJournal):
 
         The last of several names is that of the result.
         """
-        names = {key: name for name, result in named.items() if (key := self._keys.of(result))}
+        names = {key: name for name, result in named.items() if (key := self._key_of(result))}
         for key, name in names.items():
             before = [entry for entry in self.entries if entry.name == name and entry.key != key]
             if before or self._known[key].name != name:
                 self.append(*(replace(entry, name="") for entry in before), replace(self._known[key], name=name))
 
-    def append(self, *entries: Entry) -> bool:
-        """Write lines, whole, at the end of the journal; returns whether they are there."""
+    def append(self, *entries: Entry) -> None:
+        """Write lines, whole, at the end of the journal."""
         with self._lock:
             self._known |= {entry.key: entry for entry in entries}
             try:
@@ -237,8 +297,6 @@ class Journal(AbstractJournal):
                     os.fsync(file.fileno())
             except OSError as error:
                 self.warn(f"The journal in '{self.folder}' cannot be written ({error.strerror}): work goes on unkept.")
-                return False
-            return True
 
     def _tell(self, said: str) -> None:
         """Say why a result is not there: a writer computes it, a reader goes without it."""
@@ -257,18 +315,18 @@ class Journal(AbstractJournal):
         """Mark as stale, with a warning, what differs from a result only by things that may have changed unnoticed."""
         for entry in self.entries:
             changed = [name for name, digest in parts.items() if entry.parts.get(name) != digest]
-            if entry.is_finished and entry.what == title and changed and set(changed) <= set(_UNNOTICED):
+            if entry.file and entry.what == title and changed and set(changed) <= set(_UNNOTICED):
                 causes = " and ".join(dict.fromkeys(_UNNOTICED[name] for name in changed))
-                if entry.state is not State.STALE:
-                    self.append(replace(entry, state=State.STALE, why=f"{causes} changed"))
+                if entry.state != STALE:
+                    self.append(replace(entry, state=STALE, why=f"{causes} changed"))
                 self.warn(f"what an earlier run found is not used, because {causes} has changed since.")
 
 
-def _state_of(result: Any) -> State:
+def _state_of(result: Any) -> str:
     """How far a result is, of whatever kind: also of arrays, whose attributes of these names are no truth values."""
     status = getattr(result, "status", Status.SOLVED)
     if status is Status.INTERRUPTED or getattr(result, "interrupted", False) is True:
-        return State.INTERRUPTED
+        return INTERRUPTED
     if status is Status.INFEASIBLE:
-        return State.INFEASIBLE
-    return State.FAILED if getattr(result, "ok", True) is False else State.DONE
+        return INFEASIBLE
+    return FAILED if getattr(result, "ok", True) is False else DONE
