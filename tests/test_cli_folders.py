@@ -72,7 +72,7 @@ def test_a_page_is_written_without_computing_or_noting_anything_and_after_an_edi
     assert "Optimum against the limit of stress" in page
     assert "Systems that violate stress" in page
     complete = (finished / "report.html").read_bytes()
-    (here / "bar.py").write_text(STUDY.replace("=4000", "=6000"))
+    (here / "bar.py").write_text(STUDY.replace("=4000", "=16000"))
     result = aleator("report", "results", "--json")
     stale, absent = document(result)["missing"]
     assert "'results' is stale" in stale

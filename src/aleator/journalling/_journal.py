@@ -184,10 +184,8 @@ class Journal(AbstractJournal, Mapping[str, Any]):
         """All results that can be read, by the names that a study gives them, or else those of `load`."""
         results = dict[str, Any]()
         for number, entry in numbered(self.entries).items():
-            try:
+            with suppress(ProblemError):
                 results[number if entry.name in ("", *results) else entry.name] = self._read(entry)
-            except ProblemError as error:
-                self._tell(f"{error}")
         return results
 
     def _remember(self, result: Any, key: str) -> None:
@@ -213,33 +211,34 @@ class Journal(AbstractJournal, Mapping[str, Any]):
         try:
             key, parts = identity(what, given, self._key_of)
         except DoubtError as doubt:
-            self._tell(f"{title} is not kept: another run could not tell whether it is the same ({doubt}).")
-            return self._absent(title)
+            self._miss(f"{title} is not kept: another run could not tell whether it is the same ({doubt}).")
+            return Place()
         known, is_earlier = self._known.get(key), key in self._earlier
         stays = is_earlier and self._afresh
         if known is not None and known.file and not stays:
             try:
                 result = self._read(known)
             except ProblemError as error:
-                self._tell(f"{error}{' It is computed again.' if self._writes else ''}")
+                self._miss(f"{error}{' It is computed again.' if self._writes else ''}")
             else:
                 self.taken |= {key} if is_earlier else set()
                 if known.state == STALE and self._writes:
                     self.append(replace(known, state=_state_of(result), why=""))
                 return Place(result)
         if not self._writes:
-            self._tell(f"{title} is missing.")
-            return self._absent(title)
+            self._miss(f"{title} is missing.")
         self._tell_changed(title, parts)
         self.begun += 1
         name = known.name if known is not None and known.name else called()
         return self._opened(Entry.begun(key, title, parts, name), stays=stays)
 
-    def _absent(self, title: str) -> Place:
-        """The place of what is not kept, whose work a reader ends."""
-        if not self._writes:
-            raise NotKeptError(title)
-        return Place()
+    def _miss(self, why: str) -> None:
+        """Say why a result is not taken: a writer computes it, the work of a reader ends by `NotKeptError`."""
+        if self._writes:
+            self.warn(why)
+        else:
+            self.missing.append(why)
+            raise NotKeptError(why)
 
     def _opened(self, begun: Entry, *, stays: bool) -> Place:
         """The place of a result in the making; where an earlier one `stays` until it is there, it has no line."""
@@ -297,13 +296,6 @@ class Journal(AbstractJournal, Mapping[str, Any]):
                     os.fsync(file.fileno())
             except OSError as error:
                 self.warn(f"The journal in '{self.folder}' cannot be written ({error.strerror}): work goes on unkept.")
-
-    def _tell(self, said: str) -> None:
-        """Say why a result is not there: a writer computes it, a reader goes without it."""
-        if self._writes:
-            self.warn(said)
-        else:
-            self.missing.append(said)
 
     def warn(self, said: str) -> None:
         """Warn of something, once."""
