@@ -14,8 +14,8 @@ stderr. Numbers are finite or `null`. Every document has `command`, `exit_code` 
 - `report`: `folder`, `files`, `missing`, `verdict` (`null` while nothing is finished);
 - `compare`: `folders`, `designs` and `differences` by name and run;
 - `list`: `studies` (`name`, `about`); of a folder: `folder`, `stale`, `results` (`name`, `load`, `what`, `state`,
-  `why`, `file`, `host`, `process`, `since`, `seconds`), whose state is waiting, running, interrupted, done, infeasible,
-  failed, stale or lost.
+  `why`, `file`, `host`, `process`, `since`, `seconds`), whose state is running, interrupted, done, infeasible, failed,
+  stale or lost.
 
 Designs have `status`, `decisions`, `objective` (`value`, `unit`), `constraints`, `certificate` and `evidence`. Evidence
 has `samples`, `seed`, `agrees`, and `violations` by limit (`estimate`, `lower`, `upper`, `confidence`, `count`), with
