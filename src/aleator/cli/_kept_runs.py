@@ -9,7 +9,7 @@ from typing import Any
 
 from aleator._core.border import content_of, json_of
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.cli._folder import Record, staleness
+from aleator.cli._folder import RECORD, Record, staleness
 from aleator.cli._terminal import Terminal
 from aleator.journalling import examined, listing, numbered, recalling
 from aleator.reporting import (
@@ -17,13 +17,18 @@ from aleator.reporting import (
     PAGE,
     Table,
     by_place,
+    design_digest,
+    json_text,
     percent,
     side_by_side,
+    solution_document,
     values_text,
     words,
     write_page,
 )
+from aleator.solution import Solution
 from aleator.studies import Draft
+from aleator.validation import Evidence
 
 _SO_FAR = "report-so-far.html"
 
@@ -102,14 +107,22 @@ def compare(terminal: Terminal, folders: list[Path]) -> int:
 
 
 def _documents(folder: Path) -> Mapping[str, Any]:
-    """The designs of a run as documents by name, as the run has written them. Raises `ProblemError`."""
+    """A run's designs as documents by name: as the run has written them, or as its journal has them."""
+    path = folder / "designs.json"
     try:
-        return json_of(content_of(folder / "designs.json"))
+        if path.exists():
+            return json_of(content_of(path))
     except (OSError, ValueError) as error:
-        raise ProblemError(
-            f"compare: there are no designs in '{folder}' ({error}): expected the folder of a run that has come to "
-            "its end, or that Ctrl-C has ended; `aleator resume` brings others there."
-        ) from error
+        raise ProblemError(f"'{path}' cannot be read as the designs of a run ({error}).") from error
+    if (folder / RECORD).exists():
+        Record.of(folder)  # so that its models' modules can be imported
+    with recalling(folder) as journal:
+        results = journal.finished()
+    evidence = {design_digest(one.solution): one for one in results.values() if isinstance(one, Evidence)}
+    designs = {name: one for name, one in results.items() if isinstance(one, Solution)}
+    designs = {name: one for name, one in designs.items() if "/" in name} or designs  # those that a study names
+    documents = {name: solution_document(one, evidence.get(design_digest(one))) for name, one in designs.items()}
+    return json_of(json_text(documents))
 
 
 def _name_in(designs: Mapping[str, Any], name: str, runs: Mapping[str, Mapping[str, Any]]) -> str | None:

@@ -163,7 +163,7 @@ def table_text(table: Table, width: int) -> str:
             for line in zip_longest(*row, fillvalue=""):
                 lines.append(_GAP.join(f"{part:{room}}" for part, room in zip(line, widths, strict=True)).rstrip())
         lines.append("")
-    return "\n".join([*lines, *textwrap.wrap(table.note, width)])
+    return "\n".join([*lines, *textwrap.wrap(table.note, width)]).rstrip()
 
 
 def _wrapped(cell: str, room: int) -> list[str]:
