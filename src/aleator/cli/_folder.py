@@ -67,7 +67,7 @@ class Record:
         if self.is_file:
             with suppress(ValueError):  # on another drive of Windows
                 study = os.path.relpath(Path(study).resolve(), folder.resolve())
-        text = json_text(asdict(replace(self, study=study, directory=str(Path.cwd()), source=self._source())))
+        text = json_text(asdict(replace(self, study=study, directory=str(Path.cwd()), source=self.content())))
         write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
 
     @property
@@ -115,19 +115,7 @@ class Record:
                 "--out, or remove that one."
             )
 
-    def staleness(self, folder: Path) -> str:
-        """A sentence if the study of a folder has been edited since, or aleator or JAX has another version; else empty.
-
-        Empty also where its file has gone.
-        """
-        if self.source == self._source() or (self.is_file and not Path(self.study).is_file()):
-            return ""
-        return (
-            f"'{folder}' is stale: its study, or the version of aleator or JAX, has changed since the run. "
-            f"`aleator resume {folder}` runs it again."
-        )
-
-    def _source(self) -> str:
+    def content(self) -> str:
         """A digest of the text of the study's file or module, and of versions; a case study is a part of aleator."""
         file = self.study if self.is_file else ""
         if not self.is_file and self.study not in studies.STUDIES:
@@ -140,5 +128,16 @@ class Record:
 
 
 def staleness(folder: Path) -> str:
-    """A sentence if the study of a folder is another than that of its run; empty where it is not, or none is noted."""
-    return Record.of(folder).staleness(folder) if (folder / RECORD).is_file() else ""
+    """A sentence if the study of a folder has been edited since its run, or aleator or JAX has another version.
+
+    Empty where that is not so, where the study's file has gone, and where the folder names no study.
+    """
+    if not (folder / RECORD).is_file():
+        return ""
+    record = Record.of(folder)
+    if record.source == record.content() or (record.is_file and not Path(record.study).is_file()):
+        return ""
+    return (
+        f"'{folder}' is stale: its study, or the version of aleator or JAX, has changed since the run. "
+        f"`aleator resume {folder}` runs it again."
+    )

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import final
 
-STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
+_STOPPING = signal.SIGINT, signal.SIGTERM
 
 # How long work may take to end after an interrupt: a compilation, for instance, does not react.
 _PATIENCE = 3.0
@@ -41,7 +41,7 @@ class Interruptions:
         self._mouth.setblocking(False)
         self._descriptor = signal.set_wakeup_fd(self._mouth.fileno(), warn_on_full_buffer=False)
         self._unraisable, self._logging = sys.unraisablehook, logging.root.manager.disable
-        handlers = {number: signal.getsignal(number) for number in STOPPING}
+        handlers = {number: signal.getsignal(number) for number in _STOPPING}
         self._before = {number: one for number, one in handlers.items() if one is not signal.SIG_IGN}
         self._watcher = threading.Thread(target=self._watch, name="interruptions", daemon=True)
         self._watcher.start()
@@ -60,11 +60,6 @@ class Interruptions:
         self._watcher.join()
         self._ear.close()
 
-    @property
-    def exit_code(self) -> int:
-        """The exit code of an interrupted run."""
-        return 128 + (self.received or signal.SIGINT)
-
     @contextmanager
     def shielded(self) -> Iterator[None]:
         """Work that the first signal ends only when it is done."""
@@ -77,9 +72,10 @@ class Interruptions:
             self._is_raised = True
             raise KeyboardInterrupt
 
-    def conclude(self) -> None:
-        """Leave the last word to the main thread, unless another is about to say it and to end the process."""
+    def conclude(self) -> int:
+        """Leave the last word to the main thread, unless another thread is about to say it; returns the exit code."""
         self._speaker.acquire()
+        return 128 + (self.received or signal.SIGINT)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         """The handler, which Python calls in the main thread between two steps."""
@@ -115,4 +111,4 @@ class Interruptions:
 
     def _end_at_once(self) -> None:
         if self._speaker.acquire(blocking=False):
-            self._end(self.exit_code)
+            self._end(self.conclude())

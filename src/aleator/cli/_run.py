@@ -1,7 +1,6 @@
 """The run of a study: its chapter, its results, its page and its tables, whatever ends it."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
@@ -10,7 +9,7 @@ from aleator._core.errors import AleatorError
 from aleator.cli._folder import RECORD, Record, staleness
 from aleator.cli._interruption import Interruptions
 from aleator.cli._terminal import FAILED, Terminal
-from aleator.journalling import Journal, journal, numbered
+from aleator.journalling import Journal, journal
 from aleator.reporting import by_place, check_writable, designs_document, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, Draft
@@ -43,7 +42,7 @@ def resume(terminal: Terminal, folder: Path, workers: int | None) -> int:
 
 @final
 class _Run:
-    """One run of a study in a folder, and what it says; until the study is there, there is no page."""
+    """One run of a study in a folder, and what it says; until the study is there, there are no page and no results."""
 
     def __init__(self, terminal: Terminal, folder: Path):
         self._terminal, self._folder = terminal, folder
@@ -58,38 +57,56 @@ class _Run:
 
         - `record`: the command that began it, which the folder notes.
         """
-        with ExitStack() as held:
-            held.enter_context(self._interruptions)
+        with self._interruptions:
             try:
                 study = made()
                 study.check_declaration()
                 check_writable(self._folder)
                 if record is not None:
                     record.check_owns(self._folder)
-                results = held.enter_context(journal(self._folder, afresh=afresh))
-                if staleness(self._folder):  # so that no design of an earlier form goes by the name of this run's
-                    results.append(*(replace(entry, name="") for entry in results.entries if entry.name))
-                if record is None:
-                    (self._folder / RECORD).unlink(missing_ok=True)
-                else:
-                    record.write(self._folder)
-                self._page, self._results = Draft(study), results
-                code = self._execute(self._page, results)
+                with journal(self._folder, afresh=afresh) as results:
+                    if staleness(self._folder):  # so that no design of an earlier form goes by the name of this run's
+                        results.append(*(replace(entry, name="") for entry in results.entries if entry.name))
+                    if record is None:
+                        (self._folder / RECORD).unlink(missing_ok=True)
+                    else:
+                        record.write(self._folder)
+                    self._page, self._results = Draft(study), results
+                    code = self._execute(self._page, results)
             except KeyboardInterrupt:
-                self._interruptions.conclude()
+                code = self._interruptions.conclude()
                 self._terminal.complain(self._last_words(), "")
-                code = self._interruptions.exit_code
         if self._mistake is not None:
             raise self._mistake
         return code
 
     def _execute(self, page: Draft, results: Journal) -> int:
         """Run the chapter, save its results, write the page, and print the tables; returns the exit code."""
-        self._attempt(page, "the chapter", self._fill)
+
+        def ended(_: str) -> None:
+            _name_results(page, results)
+            self._terminal.end()
+
+        def save() -> None:
+            _name_results(page, results)
+            self._paths += page.save(self._folder)
+            self._paths.append(page.write(self._folder))
+
+        self._attempt(page, "the chapter", lambda: page.fill(self._terminal.progress, self._terminal.begin, ended))
         with self._interruptions.shielded():
             if page.finished or page.kept or page.failures:
-                self._attempt(page, "saving", self._save)
-            self._note_results(page)
+                self._attempt(page, "saving", save)
+            fronts = {place: one for place, one in by_place(page.kept).items() if isinstance(one, Front)}
+            self._terminal.note(
+                folder=str(self._folder),
+                finished=page.finished,
+                files=[str(path) for path in self._paths],
+                title=page.study.title,
+                verdict=page.headline(),
+                designs=designs_document(page.kept),
+                fronts={place: _front_document(front) for place, front in fronts.items()},
+                recalled=len(results.taken),
+            )
         if page.stopped:
             raise KeyboardInterrupt
         for table in page.tables:
@@ -103,13 +120,13 @@ class _Run:
             self._terminal.complain(sentence)
         return FAILED if page.failures or page.unsolved else 0
 
-    def _attempt(self, page: Draft, where: str, part: Callable[[Draft], None]) -> None:
+    def _attempt(self, page: Draft, where: str, part: Callable[[], None]) -> None:
         """Do a part of the run, and note on the page how it ended.
 
         An exception in a study's own code is raised again after writing, for its traceback.
         """
         try:
-            part(page)
+            part()
         except KeyboardInterrupt:
             page.stop()
         except Exception as error:
@@ -120,49 +137,23 @@ class _Run:
             if not isinstance(error, AleatorError | MemoryError | OSError):
                 self._mistake = self._mistake or error
 
-    def _fill(self, page: Draft) -> None:
-        def ended(_: str) -> None:
-            self._name_results(page)
-            self._terminal.end()
-
-        page.fill(self._terminal.progress, self._terminal.begin, ended)
-
-    def _name_results(self, page: Draft) -> None:
-        """Let the journal know what the study calls its results, for `aleator validate` and `al.load`.
-
-        Where one result has several places, the first is its name.
-        """
-        kept = [(place, one) for place, one in by_place(page.kept).items() if isinstance(one, Solution | Evidence)]
-        if self._results is not None:
-            self._results.call(dict(reversed(kept)))
-
-    def _save(self, page: Draft) -> None:
-        """Save all results and write the page, never beside results of an earlier run."""
-        self._name_results(page)
-        self._paths += page.save(self._folder)
-        self._paths.append(page.write(self._folder))
-
     def _last_words(self) -> str:
         """What an interrupted run has finished and kept."""
         if self._page is None or self._results is None:
             return "Interrupted: nothing was begun."
         during = f" during '{self._page.present}'" if self._page.present else ""
         finished = words([f"'{name}'" for name in self._page.finished], "no part")
-        count, place = len(numbered(self._results.entries)), f"kept in '{self._folder}'"
-        return f"Interrupted{during}: finished is {finished}; {count} results are {place}."
+        kept = "1 result is" if len(self._results) == 1 else f"{len(self._results)} results are"
+        return f"Interrupted{during}: {kept} kept in '{self._folder}'; finished: {finished}."
 
-    def _note_results(self, page: Draft) -> None:
-        fronts = {place: one for place, one in by_place(page.kept).items() if isinstance(one, Front)}
-        self._terminal.note(
-            folder=str(self._folder),
-            finished=page.finished,
-            files=[str(path) for path in self._paths],
-            title=page.study.title,
-            verdict=page.headline(),
-            designs=designs_document(page.kept),
-            fronts={place: _front_document(front) for place, front in fronts.items()},
-            recalled=0 if self._results is None else len(self._results.taken),
-        )
+
+def _name_results(page: Draft, results: Journal) -> None:
+    """Let the journal know what the study calls its results, for `aleator validate` and `al.load`.
+
+    Where one result has several places, the first is its name.
+    """
+    kept = [(place, one) for place, one in by_place(page.kept).items() if isinstance(one, Solution | Evidence)]
+    results.call(dict(reversed(kept)))
 
 
 def _front_document(front: Front) -> dict[str, Any]:

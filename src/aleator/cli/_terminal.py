@@ -7,8 +7,7 @@ import sys
 import textwrap
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from itertools import zip_longest
 from typing import Any, final
 
@@ -43,7 +42,8 @@ class Terminal:
         """
         code = FAILED
         try:
-            with self._warning():
+            with warnings.catch_warnings():
+                warnings.showwarning = self._warn
                 code = work()
         except (AleatorError, OSError) as error:
             code = USAGE
@@ -112,17 +112,10 @@ class Terminal:
     def _text(self, code: int) -> str:
         return json_text({**self._document, "exit_code": code, "errors": self._errors})
 
-    @contextmanager
-    def _warning(self) -> Iterator[None]:
-        """Show warnings within a block in a sentence; our own without their place in the code."""
-        with warnings.catch_warnings():
-
-            def show(message: Warning | str, category: type[Warning], file: str, line: int, *_: Any) -> None:
-                place = "" if issubclass(category, AleatorWarning) else f"{file}:{line}: {category.__name__}: "
-                self.tell(f"warning: {place}{message}", is_error=True)
-
-            warnings.showwarning = show
-            yield
+    def _warn(self, message: Warning | str, category: type[Warning], file: str, line: int, *_: Any) -> None:
+        """Show a warning in a sentence; one of ours without its place in the code."""
+        place = "" if issubclass(category, AleatorWarning) else f"{file}:{line}: {category.__name__}: "
+        self.tell(f"warning: {place}{message}", is_error=True)
 
 
 def _duration(seconds: float) -> str:
