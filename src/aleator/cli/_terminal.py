@@ -45,6 +45,8 @@ class Terminal:
             with warnings.catch_warnings():
                 warnings.showwarning = self._warn
                 code = work()
+        except BrokenPipeError:  # whoever read it has gone
+            raise
         except (AleatorError, OSError) as error:
             code = USAGE
             self.complain(f"{error}")
