@@ -85,6 +85,13 @@ def test_a_page_is_written_without_computing_or_noting_anything_and_after_an_edi
     assert (finished / FILE).read_bytes() == noted
 
 
+def test_a_run_that_was_killed_is_compared_by_what_its_journal_has(here: Path, finished: Path):
+    shutil.copytree(finished, here / "killed")
+    (here / "killed/designs.json").unlink()
+    differences = document(aleator("compare", "results", "killed", "--json"))["differences"]
+    assert differences["designs/robust"] == differences["designs/nominal"] == {"killed": []}
+
+
 @pytest.mark.slow
 def test_runs_are_compared_by_their_numbers(here: Path, finished: Path):
     shutil.copytree(finished, here / "copy")
