@@ -1,16 +1,19 @@
 """The command line in this process, and the folder of a run of a small study that tests copy."""
 
+import contextlib
 import functools
+import io
 import json
 import shutil
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from aleator import cli, solving
+import aleator_command
+from aleator import solving
 from aleator.cli._folder import Record
 from zoo import SPREAD
 
@@ -32,8 +35,23 @@ EDITED += "study = al.Study({'robust': problem}, samples=200)\n"
 NEEDED, NEEDED_NOW = 1.0 + 3.0 * SPREAD, 1.1 + 3.0 * SPREAD
 
 
-def aleator(*arguments: str):
-    return CliRunner().invoke(cli.application, list(arguments))
+@dataclass
+class Ended:
+    """How a command ended, and what it printed."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def output(self) -> str:
+        return self.stdout + self.stderr
+
+
+def aleator(*arguments: str) -> Ended:
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        code = aleator_command.execute(arguments)
+    return Ended(code, out.getvalue(), err.getvalue())
 
 
 def document(result) -> dict:

@@ -111,7 +111,7 @@ def rehearse(moment: str, number: int, folder: Path) -> None:
     studies.load = load
     watch_the_end(at)
     if moment == "while the package is imported":
-        aleator.cli = types.SimpleNamespace(run=lambda *arguments, **named: send())
+        aleator.cli = types.SimpleNamespace(execute=lambda *arguments, **named: send())
     sys.argv = ["aleator", "run", "rehearsal", "--out", str(folder)]
     aleator_command.main()
 

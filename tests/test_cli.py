@@ -1,14 +1,12 @@
 """The command line: how it exits, what it keeps and what it prints."""
 
-import io
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 import aleator as al
-from aleator import cli, studies
-from aleator.cli._terminal import fitted
+from aleator import studies
+from aleator.cli._terminal import table_text
 from aleator.reporting import Table, Verdict, values_text
 from aleator.studies import Draft
 from command_line import aleator, said
@@ -86,7 +84,7 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, mon
     def taken(folder: Path):
         raise al.ProblemError(f"Another process writes into '{folder}'.")
 
-    monkeypatch.setattr(cli._course, "only_writer", taken)
+    monkeypatch.setattr("aleator.journalling._journal.only_writer", taken)
     result = run(study := Rehearsal(), "--out", str(tmp_path))
     assert result.exit_code == 2
     assert study.begun == []
@@ -101,12 +99,8 @@ def test_a_table_takes_the_width_that_there_is_and_no_number_is_cut(width):
     table = Table(
         "Designs", ["", *names], [[label, *row] for label, row in zip(labels, numbers, strict=True)], "A note."
     )
-    console = Console(width=width, file=io.StringIO())
-    blocks = list(fitted(table, width))
-    for block in blocks:
-        console.print(block)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
+    text = table_text(table, width)
     assert max(map(len, text.splitlines())) <= width
     assert all(number in text for row in numbers for number in row)
     assert (text.count("Designs"), text.count("A note.")) == (1, 1)
-    assert text.count("Objective") == len(blocks) == {36: 4, 60: 2, 90: 1, 200: 1}[width]
+    assert text.count("Objective") == {36: 4, 60: 2, 90: 1, 200: 1}[width]

@@ -69,23 +69,6 @@ def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: P
     assert told["recalled"] == 2
 
 
-def test_a_run_that_takes_all_from_its_folder_leaves_its_results_as_they_are_if_these_are_whole(
-    finished: Path, nothing_solved
-):
-    def written() -> int:
-        assert aleator("resume", "results").exit_code == 0
-        return (finished / "results.nc").stat().st_ino
-
-    first = written()
-    assert written() == first
-    (finished / "designs.json").unlink()
-    second = written()
-    assert second != first
-    assert (finished / "designs.json").exists()
-    Record("bar.py", quick=True).write(finished)
-    assert written() != second, "other evidence"
-
-
 def test_designs_that_are_infeasible_are_told_among_those_that_are_solved(here: Path):
     text = STUDY[: STUDY.index("study =")] + "weak = problem.with_bound('stress', 0.01)\n"
     (here / "bar.py").write_text(text + "study = al.Study({'impossible': weak, 'robust': problem}, samples=200)\n")
@@ -108,13 +91,9 @@ def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_f
     assert result.exit_code == 130, result.output
     (told,) = document(result)["errors"]
     assert told.startswith("Interrupted during 'front over stress': ")
-    assert "2 results of 'front over stress'" in told
-    assert states("there") == {
-        "stress = 0.5": "done",
-        "stress = 0.55": "done",
-        "stress = 0.6": "interrupted",
-        "stress = 0.8": "waiting",
-    }
+    assert "2 results are kept in 'there'" in told
+    names = [f"pareto, at stress = {value}" for value in values]
+    assert states("there") == dict(zip(names, ["done", "done", "interrupted"], strict=False))
     assert "'front over stress' is not finished" in document(aleator("report", "there", "--json"))["missing"][0]
     assert "2 of 4 points are available" in (here / "there/report-so-far.html").read_text()
 

@@ -36,8 +36,8 @@ def test_the_list_tells_names_the_dead_and_what_is_lost(finished: Path):
 
     assert states() == ["lost", "lost", *["done"] * (len(entries) - 2), "interrupted"]
     told = said(aleator("list", "results"))
-    assert "its file cannot be read: No such file" in told
-    assert "its file is not what was written" in told
+    assert "cannot be read (No such file" in told
+    assert "is not what was written there" in told
     with only_writer(finished):
         assert states()[-1] == "running"
     assert (finished / FILE).read_bytes() == before
@@ -72,17 +72,24 @@ def test_a_page_is_written_without_computing_or_noting_anything_and_after_an_edi
     assert "Optimum against the limit of stress" in page
     assert "Systems that violate stress" in page
     complete = (finished / "report.html").read_bytes()
-    for text, told in (
-        (EDITED, "'results' is stale"),
-        (STUDY.replace("=4000", "=6000"), "evidence on nominal"),
-    ):
-        (here / "bar.py").write_text(text)
-        result = aleator("report", "results", "--json")
-        assert told in " ".join(document(result)["missing"])
-        assert document(result)["files"] == ["results/report-so-far.html"]
-        assert "report.html stays as it is" in said(result)
-        assert (finished / "report.html").read_bytes() == complete
+    (here / "bar.py").write_text(STUDY.replace("=4000", "=16000"))
+    result = aleator("report", "results", "--json")
+    stale, absent = document(result)["missing"]
+    assert "'results' is stale" in stale
+    assert "evidence on nominal" in absent
+    assert document(result)["files"] == ["results/report-so-far.html"]
+    assert "report.html stays as it is" in said(result)
+    (here / "bar.py").write_text(EDITED)
+    assert "'results' is stale" in document(aleator("report", "results", "--json"))["errors"][0]
+    assert (finished / "report.html").read_bytes() == complete
     assert (finished / FILE).read_bytes() == noted
+
+
+def test_a_run_that_was_killed_is_compared_by_what_its_journal_has(here: Path, finished: Path):
+    shutil.copytree(finished, here / "killed")
+    (here / "killed/designs.json").unlink()
+    differences = document(aleator("compare", "results", "killed", "--json"))["differences"]
+    assert differences["designs/robust"] == differences["designs/nominal"] == {"killed": []}
 
 
 @pytest.mark.slow
@@ -124,9 +131,9 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
     (here / "bar.toml").write_text("")
     files = {file: file.read_bytes() for file in here.rglob("res*/**/*") if file.is_file()}
     for command, advice in (
-        ((*SWEEP, "0.5", "--out", "results"), "--out results-over-stress"),
-        (("run", "bar.py"), "--out results/bar-py"),
-        (("validate", "bar.py"), "The results of `aleator run bar.toml` are in 'results/bar'"),
+        ((*SWEEP, "0.5", "--out", "results"), "name another folder by --out"),
+        (("run", "bar.py"), "name another folder by --out"),
+        (("validate", "bar.py"), "bar.toml` are in 'results/bar'"),
     ):
         result = aleator(*command)
         assert result.exit_code == 2, result.output
@@ -143,7 +150,7 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
         (("run", "bar.py", "--workers", "2"), "nothing to share among processes: expected `sweeps` or `wishes`"),
         ((*SWEEP, "1;2"), "expected numbers with commas between them"),
         ((*SWEEP, "1", "--design", "robot"), "Did you mean 'robust'"),
-        (("runn", "bar.py"), "No such command 'runn'"),
+        (("runn", "bar.py"), "invalid choice: 'runn'"),
         (("resume", "nowhere"), "There is no 'command.json' in 'nowhere'"),
         (("validate", "empty"), "there is no finished design in 'empty'"),
         (("compare", "empty"), "two folders or more"),

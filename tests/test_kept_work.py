@@ -77,7 +77,7 @@ def test_work_is_done_once_for_the_same_code_and_numbers_however_they_are_given(
     assert work(1.0, 3) == work(1.0, 3) == work(least=1.0, count=3) == [1.0, 2.0, 3.0]
     assert calls == ["widths"]
     (entry,) = al.load(tmp_path).entries
-    assert (entry.what, entry.name, entry.state.value) == ("work widths", "", "done")
+    assert (entry.what, entry.name, entry.state) == ("work widths", "", "done")
     assert al.load(tmp_path)["work widths 1"] == [1.0, 2.0, 3.0]
     with recalling(tmp_path) as folder:
         assert kept("widths", widths, 1.0, 3, progress=lambda *told: calls.append("again")) == [1.0, 2.0, 3.0]
@@ -118,7 +118,7 @@ def swallowing(number: int) -> int:
 def test_what_ctrl_c_ended_early_is_done_again_and_what_is_finished_is_not(tmp_path, python_interrupts):
     with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
         kept("numbers", swallowing, 3)
-    assert [one.state.value for one in al.load(tmp_path).entries] == ["interrupted"]
+    assert [one.state for one in al.load(tmp_path).entries] == ["interrupted"]
     ended = [True, False]
     for interrupted in (True, False, False):  # the third is recalled
         with al.journal(tmp_path):
@@ -186,7 +186,7 @@ def test_what_was_ended_goes_on_from_its_parts_with_the_same_digits(work, tmp_pa
     for recalled in (0, 1):
         with al.journal(folder) as kept_here:
             assert digits(work()) == undisturbed
-        assert kept_here.recalled == recalled
+        assert len(kept_here.taken) == recalled
         assert len(parts) == 2 * whole
         assert not list((folder / "finished").glob("*.part"))
 
@@ -220,9 +220,10 @@ def test_parts_whose_places_were_exchanged_or_that_were_cut_are_not_taken(tmp_pa
     parts.keep(1, "second")
     assert [parts.recall(number) for number in (0, 1)] == ["first", "second"]
     parts.keep(2, "cut")
-    (tmp_path / "key-2.part").write_bytes((tmp_path / "key-2.part").read_bytes()[:-1])
+    files = [tmp_path / "finished" / f"key-{number}.part" for number in range(3)]
+    files[2].write_bytes(files[2].read_bytes()[:-1])
     assert parts.recall(2) is None
-    (tmp_path / "key-0.part").replace(tmp_path / "key-1.part")
+    files[0].replace(files[1])
     assert parts.recall(1) is None
 
 

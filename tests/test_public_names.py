@@ -74,7 +74,7 @@ def test_no_name_is_in_two_topics_or_in_one_and_flat():
 
 
 def test_little_is_loaded_with_the_package_and_numbers_have_64_bits_before_anything_is_used():
-    late = ["scipy.stats", "scipy.optimize", "scipy.interpolate", "plotly", "pandas", "casadi", "typer", "h5py", "pint"]
+    late = ["scipy.stats", "scipy.optimize", "scipy.interpolate", "plotly", "pandas", "casadi", "h5py", "pint"]
     script = f"""
 import sys, aleator as al, jax.numpy as jnp
 print(jnp.ones(2).dtype)

@@ -14,8 +14,8 @@ stderr. Numbers are finite or `null`. Every document has `command`, `exit_code` 
 - `report`: `folder`, `files`, `missing`, `verdict` (`null` while nothing is finished);
 - `compare`: `folders`, `designs` and `differences` by name and run;
 - `list`: `studies` (`name`, `about`); of a folder: `folder`, `stale`, `results` (`name`, `load`, `what`, `state`,
-  `why`, `file`, `host`, `process`, `since`, `seconds`), whose state is waiting, running, interrupted, done, infeasible,
-  failed, stale or lost.
+  `why`, `file`, `host`, `process`, `since`, `seconds`), whose state is running, interrupted, done, infeasible, failed,
+  stale or lost.
 
 Designs have `status`, `decisions`, `objective` (`value`, `unit`), `constraints`, `certificate` and `evidence`. Evidence
 has `samples`, `seed`, `agrees`, and `violations` by limit (`estimate`, `lower`, `upper`, `confidence`, `count`), with
@@ -29,31 +29,70 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Mapping, Sequence
 from types import FrameType
+from typing import Any, NoReturn
 
-from aleator_command._commands import application as application
+from aleator_command._commands import UsageError, parsed
+from aleator_command._studies import STUDIES
+from aleator_command._template import begin_file
+
+_USAGE = 2
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Entry point of the `aleator` command."""
-    mind_signals()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
+    code = 1
     try:
-        application()
+        code = execute(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever read it has gone; Python would flush once more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         # All is said and done: while Python takes itself apart, no signal shall change the exit code.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
 
 
-def mind_signals() -> None:
-    """Have SIGINT and SIGTERM end the process with a word, not with a traceback."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _end)
+def execute(words: Sequence[str]) -> int:
+    """Do the command that some words ask for, and return its exit code."""
+    try:
+        arguments = parsed(words)
+        return _executed(arguments.pop("command"), arguments)
+    except UsageError as error:
+        print(f"{error.usage}error: {error}", file=sys.stderr)
+        if "--json" in words:
+            print(json.dumps({"command": words[0], "exit_code": _USAGE, "errors": [f"{error}"]}))
+        return _USAGE
+
+
+def _executed(command: str, arguments: Mapping[str, Any]) -> int:
+    if command == "new":
+        written = begin_file(arguments["file"])
+        print(f"wrote {written}\nnext: aleator check {written}, then aleator run {written}")
+    elif command == "list" and arguments["folder"] is None:
+        if arguments["as_json"]:
+            studies = [{"name": name, "about": about} for name, about in STUDIES.items()]
+            print(json.dumps({"command": "list", "studies": studies, "exit_code": 0, "errors": []}, indent=2))
+        else:
+            print("\n".join(f"{name:<{max(map(len, STUDIES))}}  {about}" for name, about in STUDIES.items()))
+    elif command == "schema":
+        from aleator.studies import schema
+
+        print(json.dumps(schema(), indent=2, ensure_ascii=False))
+    else:
+        from aleator import cli
+
+        return cli.execute(command, **arguments)
+    return 0
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    """Before a run has begun there is nothing to keep."""
+    """End with a word, not with a traceback: what is finished is in its folder."""
     del frame
     if "--json" in sys.argv[1:]:
         document = {"command": sys.argv[1], "exit_code": 128 + number, "errors": ["Interrupted."]}

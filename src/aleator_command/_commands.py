@@ -1,256 +1,203 @@
-"""The subcommands of `aleator` with their arguments, help and examples; each is done by `aleator.cli`."""
+"""The subcommands of `aleator` as a table: what each is for, examples, and its arguments."""
 
-import json
-from collections.abc import Callable
+import argparse
+import re
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, cast, final
+from typing import Any, NamedTuple, NoReturn, TypeAlias, final
 
-import typer
-from typer.core import TyperGroup
 from typing_extensions import override
 
-from aleator_command._studies import STUDIES
-from aleator_command._template import begin_file
+Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
-_PAGE, _USAGE = "report.html", 2
 
-# Click's `UsageError`, which some versions of typer take from click, and others have within themselves.
-_UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
+class Command(NamedTuple):
+    """A subcommand: its help, a paragraph each, examples, and its arguments."""
+
+    about: Sequence[str]
+    examples: Sequence[str]
+    arguments: Sequence[Argument]
+
+
+class UsageError(Exception):
+    """Arguments that are refused, with the `usage` of the command."""
+
+    def __init__(self, message: str, usage: str = ""):
+        super().__init__(message)
+        self.usage = usage
 
 
 @final
-class _Commands(TyperGroup):
-    """Subcommands. What typer itself refuses is told on stderr, and with `--json` on stdout as a document."""
+class _Parser(argparse.ArgumentParser):
+    """Refuses by an exception."""
+
+    def __init__(self, **how: Any):
+        super().__init__(**how, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter)
+        self._negative_number_matcher = re.compile(r"-[\d.]")  # so that --values -1,0 is no option
 
     @override
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        ctx.meta["aleator.words"] = tuple(args)
-        return super().parse_args(ctx, args)
-
-    @override
-    def invoke(self, ctx: Any) -> Any:
-        try:
-            return super().invoke(ctx)
-        except _UsageError as error:
-            words = ctx.meta["aleator.words"]
-            if "--json" in words:
-                errors = [error.format_message()]
-                typer.echo(json.dumps({"command": words[0], "exit_code": _USAGE, "errors": errors}))
-            raise
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message, self.format_usage())
 
 
-application = typer.Typer(cls=_Commands, help="Optimal design of uncertain dynamical systems.", no_args_is_help=True)
+def parsed(words: Sequence[str]) -> dict[str, Any]:
+    """The arguments of a command, with its name as `command`. Raises `UsageError`."""
+    parser = _Parser(prog="aleator", description="Optimal design of uncertain dynamical systems.")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, command in COMMANDS.items():
+        about = "\n\n".join(textwrap.fill(paragraph, 100) for paragraph in command.about)
+        examples = "\n  ".join(["examples:", *command.examples])
+        summary = command.about[0].replace("%", "%%")
+        own = commands.add_parser(name, help=summary, description=about, epilog=examples)
+        for names, how in command.arguments:
+            own.add_argument(*names, **how)
+    return vars(parser.parse_args(words))
 
 
-def _command(name: str, *examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Declare a subcommand with its examples, a paragraph each, so that none is joined to the next."""
-    return application.command(name, epilog="\n\n".join([f"Example{'s'[: len(examples) - 1]}:", *examples]))
+def _argument(*names: str, **how: Any) -> Argument:
+    return names, how
 
 
-def _studies(incomplete: str) -> list[str]:
-    """Names of studies, and study files, that begin with what was typed."""
-    matches = Path().glob("*") if "/" not in incomplete else Path(incomplete.rpartition("/")[0]).glob("*")
-    paths = [f"{path}/" if path.is_dir() else f"{path}" for path in matches]
-    files = [path for path in paths if path.endswith(("/", ".py", ".toml"))]
-    return sorted(name for name in [*STUDIES, *files] if name.startswith(incomplete))
-
-
-_Study: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        help="Name of a case study (see `aleator list`), or a file or module of your own.",
-        autocompletion=_studies,
-        show_default=False,
-    ),
-]
-_StudyOrFolder: TypeAlias = Annotated[
-    str, typer.Argument(help="A study, or a run's folder.", metavar="STUDY|FOLDER", autocompletion=_studies)
-]
-_Folder: TypeAlias = Annotated[Path, typer.Argument(help="A run's folder.", show_default=False)]
-_AsJson: TypeAlias = Annotated[
-    bool, typer.Option("--json", help="Print one JSON document on stdout, and all else on stderr.")
-]
-_Afresh: TypeAlias = Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")]
-_Workers: TypeAlias = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, help="Processes that share the work.", show_default="as many as the study says"),
-]
-_Design: TypeAlias = Annotated[
-    str | None, typer.Option("--design", help="Name of one of its designs.", show_default=False)
-]
-
-
-@_command("new", "aleator new bracket.py")
-def _new(
-    file: Annotated[Path, typer.Argument(help="Python file to write, such as bracket.py.", show_default=False)],
-) -> None:
-    """Begin a study of your own: write a commented file that runs as it is."""
+def _numbers(text: str) -> tuple[float, ...]:
     try:
-        written = begin_file(file)
-    except ValueError as error:
-        typer.secho(f"error: {error}", err=True)
-        raise typer.Exit(_USAGE) from None
-    typer.echo(f"wrote {written}\nnext: aleator check {written}, then aleator run {written}")
+        return tuple(float(number) for number in text.split(",") if number.strip())
+    except ValueError:
+        raise argparse.ArgumentTypeError("expected numbers with commas between them, such as 1,1.2,1.4") from None
 
 
-@_command("check", "aleator check bracket.py", "aleator check suspension --json")
-def _check(study: _Study, as_json: _AsJson = False) -> None:
-    """Print what a study will do, before anything is spent: sizes, points, derivatives, times."""
-    from aleator import cli
-
-    cli.check(study, as_json)
-
-
-@_command(
-    "run",
-    "aleator run suspension --quick",
-    "aleator run bracket.py --out results/first",
-    "aleator run bracket.toml --afresh",
-    "aleator run bracket.py --workers 4",
-    "aleator run package.module:problem --json",
+_STUDY = _argument("study", help="name of a case study (see `aleator list`), or a file or module of your own")
+_FOLDER = _argument("folder", type=Path, help="a run's folder")
+_DESIGN = _argument("--design", metavar="NAME", help="name of one of its designs")
+_OUT = _argument("--out", type=Path, metavar="FOLDER", help="folder for the results (a folder in results/)")
+_WORKERS = _argument("--workers", type=int, metavar="COUNT", help="processes that share the work")
+_AFRESH = _argument("--afresh", action="store_true", help="compute everything anew")
+_JSON = _argument(
+    "--json", dest="as_json", action="store_true", help="print one JSON document on stdout, and all else on stderr"
 )
-def _run(
-    study: _Study,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer samples and points: a first look in a minute.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
-    workers: _Workers = None,
-    afresh: _Afresh = False,
-    as_json: _AsJson = False,
-) -> None:
-    """Run a study: solve, check by Monte Carlo, sweep, and write the report.
 
-    Each result is kept as soon as it is there: the same command goes on where a run was ended. Processes (--workers)
-    share the points of fronts and the evidence along them.
-    """
-    from aleator import cli
-
-    cli.run(study, quick=quick, out=out, workers=workers or 0, afresh=afresh, as_json=as_json)
-
-
-@_command("resume", "aleator resume results/bracket", "aleator resume results/bracket --workers 2")
-def _resume(folder: _Folder, workers: _Workers = None, as_json: _AsJson = False) -> None:
-    """Go on with the run of a folder, whatever ended it: the folder says which study it was, and with which options.
-
-    What is finished is taken from the folder, down to the last bit. As many processes share the work as before, or
-    --workers.
-    """
-    from aleator import cli
-
-    cli.resume(folder, workers or 0, as_json)
-
-
-@_command(
-    "sweep",
-    "aleator sweep bracket.py --bound force --values 0.6,0.8,1",
-    "aleator sweep clutch --bound rejects --values 0.01,0.001 --workers 2",
-)
-def _sweep(
-    study: _Study,
-    bound: Annotated[str, typer.Option(help="Name of the limit whose bound is varied.", show_default=False)],
-    values: Annotated[str, typer.Option(help="Its bounds: numbers with commas between them.", show_default=False)],
-    workers: _Workers = None,
-    design: _Design = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY-over-BOUND")
-    ] = None,
-    afresh: _Afresh = False,
-    as_json: _AsJson = False,
-) -> None:
-    """Solve one design of a study again for each value of a bound, and write the front with its page.
-
-    The last design is taken if none is named. Each point is kept as soon as it is there.
-    """
-    from aleator import cli
-
-    cli.sweep(study, bound, values, workers or 0, design or "", out=out, afresh=afresh, as_json=as_json)
-
-
-@_command(
-    "validate",
-    "aleator validate results/bracket --samples 100000",
-    "aleator validate bracket.py --seed 7 --design robust",
-    "aleator validate results/bracket --samples 10000000 --workers 4",
-)
-def _validate(
-    place: _StudyOrFolder,
-    samples: Annotated[int, typer.Option(min=2, help="Fresh random systems for each design.")] = 20_000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random systems.")] = 0,
-    design: _Design = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes that simulate the systems.", show_default="this one")
-    ] = None,
-    as_json: _AsJson = False,
-) -> None:
-    """Count on fresh random systems how often designs break their limits, with 95 % intervals.
-
-    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there. A folder
-    whose study has been edited since is refused. The evidence is kept there too; the study's page stays as it is.
-    """
-    from aleator import cli
-
-    cli.validate(place, samples, seed, design, workers, as_json)
-
-
-@_command("report", "aleator report results/bracket", "aleator report results/bracket --out so-far.html")
-def _report(
-    folder: _Folder,
-    out: Annotated[
-        Path | None, typer.Option(help="File for the page.", show_default=f"FOLDER/{_PAGE}", metavar="FILE")
-    ] = None,
-    as_json: _AsJson = False,
-) -> None:
-    """Write the page of what is in a run's folder, without computing anything, and say what is missing.
-
-    Where the study's file has gone, or cannot be read any more, the page shows the designs that the folder keeps.
-
-    Another process may be running there. A page that is there is not replaced by one from which something is missing:
-    this one is written beside it, as report-so-far.html.
-    """
-    from aleator import cli
-
-    cli.report(folder, out, as_json)
-
-
-@_command("compare", "aleator compare results/first results/second")
-def _compare(
-    folders: Annotated[
-        list[Path], typer.Argument(help="Runs' folders, two or more.", metavar="FOLDER FOLDER...", show_default=False)
-    ],
-    as_json: _AsJson = False,
-) -> None:
-    """Print the designs of several runs side by side, and in what they differ.
-
-    Compared are decisions, objective, evidence with its intervals, constraints, and the problem with its equations, all
-    down to the last digit.
-    """
-    from aleator import cli
-
-    cli.compare(folders, as_json)
-
-
-@_command("list", "aleator list", "aleator list results/bracket")
-def _list(
-    folder: Annotated[
-        Path | None, typer.Argument(help="A run's folder, to list its results instead.", show_default=False)
-    ] = None,
-    as_json: _AsJson = False,
-) -> None:
-    """List the case studies, or the results in a run's folder with their states."""
-    if folder is not None:
-        from aleator import cli
-
-        cli.list_results(folder, as_json)
-    elif as_json:
-        studies = [{"name": name, "about": about} for name, about in STUDIES.items()]
-        typer.echo(json.dumps({"command": "list", "studies": studies, "exit_code": 0, "errors": []}, indent=2))
-    else:
-        width = max(map(len, STUDIES))
-        typer.echo("\n".join(f"{name:<{width}}  {about}" for name, about in STUDIES.items()))
-
-
-@_command("schema", "aleator schema > study.schema.json")
-def _schema() -> None:
-    """Print the JSON Schema of study files (.toml), by which editors complete and check them."""
-    from aleator.studies import schema
-
-    typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))
+COMMANDS = {
+    "new": Command(
+        ["Begin a study of your own: write a commented file that runs as it is."],
+        ["aleator new bracket.py"],
+        [_argument("file", type=Path, help="Python file to write, such as bracket.py")],
+    ),
+    "check": Command(
+        ["Print what a study will do, before anything is spent: sizes, points, derivatives, times."],
+        ["aleator check bracket.py", "aleator check suspension --json"],
+        [_STUDY, _JSON],
+    ),
+    "run": Command(
+        [
+            "Run a study: solve, check by Monte Carlo, sweep, and write the report.",
+            "Each result is kept as soon as it is there: the same command goes on where a run was ended. Processes "
+            "(--workers) share the points of fronts and the evidence along them.",
+        ],
+        [
+            "aleator run suspension --quick",
+            "aleator run bracket.py --out results/first",
+            "aleator run bracket.toml --afresh",
+            "aleator run bracket.py --workers 4",
+            "aleator run package.module:problem --json",
+        ],
+        [
+            _STUDY,
+            _argument("--quick", action="store_true", help="fewer samples and points: a first look in a minute"),
+            _OUT,
+            _WORKERS,
+            _AFRESH,
+            _JSON,
+        ],
+    ),
+    "resume": Command(
+        [
+            "Go on with the run of a folder, whatever ended it: the folder says which study it was, and with which "
+            "options.",
+            "What is finished is taken from the folder, down to the last bit. As many processes share the work as "
+            "before, or --workers.",
+        ],
+        ["aleator resume results/bracket", "aleator resume results/bracket --workers 2"],
+        [_FOLDER, _WORKERS, _JSON],
+    ),
+    "sweep": Command(
+        [
+            "Solve one design of a study again for each value of a bound, and write the front with its page.",
+            "The last design is taken if none is named. Each point is kept as soon as it is there.",
+        ],
+        [
+            "aleator sweep bracket.py --bound force --values 0.6,0.8,1",
+            "aleator sweep clutch --bound rejects --values 0.01,0.001 --workers 2",
+        ],
+        [
+            _STUDY,
+            _argument("--bound", required=True, metavar="NAME", help="name of the limit whose bound is varied"),
+            _argument(
+                "--values",
+                required=True,
+                type=_numbers,
+                metavar="NUMBERS",
+                help="its bounds: numbers with commas between them",
+            ),
+            _DESIGN,
+            _OUT,
+            _WORKERS,
+            _AFRESH,
+            _JSON,
+        ],
+    ),
+    "validate": Command(
+        [
+            "Count on fresh random systems how often designs break their limits, with 95 % intervals.",
+            "Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there. "
+            "A folder whose study has been edited since is refused. The evidence is kept there too; the study's page "
+            "stays as it is.",
+        ],
+        [
+            "aleator validate results/bracket --samples 100000",
+            "aleator validate bracket.py --seed 7 --design robust",
+            "aleator validate results/bracket --samples 10000000 --workers 4",
+        ],
+        [
+            _argument("place", metavar="STUDY|FOLDER", help="a study, or a run's folder"),
+            _argument(
+                "--samples", type=int, default=20_000, metavar="COUNT", help="random systems for each design (20000)"
+            ),
+            _argument("--seed", type=int, default=0, metavar="NUMBER", help="of the random systems (0)"),
+            _DESIGN,
+            _WORKERS,
+            _JSON,
+        ],
+    ),
+    "report": Command(
+        [
+            "Write the page of a run from what is in its folder, without computing anything, and say what is missing.",
+            "Another process may be running there. A page that is there is not replaced by one from which something is "
+            "missing: this one is written beside it, as report-so-far.html.",
+        ],
+        ["aleator report results/bracket", "aleator report results/bracket --out so-far.html"],
+        [
+            _FOLDER,
+            _argument("--out", type=Path, metavar="FILE", help="file for the page (report.html in the folder)"),
+            _JSON,
+        ],
+    ),
+    "compare": Command(
+        [
+            "Print the designs of several runs side by side, and in what they differ.",
+            "Compared are decisions, objective, evidence with its intervals, constraints, and the problem with its "
+            "equations, all down to the last digit.",
+        ],
+        ["aleator compare results/first results/second"],
+        [_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="runs' folders, two or more"), _JSON],
+    ),
+    "list": Command(
+        ["List the case studies, or the results in a run's folder with their states."],
+        ["aleator list", "aleator list results/bracket"],
+        [_argument("folder", nargs="?", type=Path, help="a run's folder, to list its results instead"), _JSON],
+    ),
+    "schema": Command(
+        ["Print the JSON Schema of study files (.toml), by which editors complete and check them."],
+        ["aleator schema > study.schema.json"],
+        [],
+    ),
+}

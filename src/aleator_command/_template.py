@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from aleator_command._commands import UsageError
+
 _TEMPLATE = '''"""{title}: a robust design of an uncertain system.
 
     aleator check {file}     what will be done, before anything is spent
@@ -59,23 +61,23 @@ study = al.Study(
 
 
 def begin_file(path: Path) -> Path:
-    """Write a commented study. Raises `ValueError` for a file that exists or cannot be written, and for odd names."""
+    """Write a commented study. Raises `UsageError` for a file that exists or cannot be written, and for odd names."""
     if path.is_dir():
-        raise ValueError(f"new: '{path}' is a folder: name a file in it, such as {path / 'bracket.py'}.")
+        raise UsageError(f"new: '{path}' is a folder: name a file in it, such as {path / 'bracket.py'}.")
     if not re.fullmatch(r"[A-Za-z_]\w*(\.py)?", path.name):
-        raise ValueError(
+        raise UsageError(
             "new: expected a Python file named by letters, digits and underscores, such as bracket.py; received "
             f"'{path.name}'."
         )
     path = path.with_suffix(".py")
     if path.exists():
-        raise ValueError(f"new: '{path}' exists already, and is left as it is: choose another name.")
+        raise UsageError(f"new: '{path}' exists already, and is left as it is: choose another name.")
     title = path.stem.replace("_", " ").capitalize()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(_TEMPLATE.format(title=title, file=path), encoding="utf-8")
     except OSError as error:
-        raise ValueError(
+        raise UsageError(
             f"new: '{path}' cannot be written ({error.strerror}): name a file in a folder of your own."
         ) from error
     return path

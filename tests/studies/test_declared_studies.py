@@ -142,7 +142,7 @@ def test_what_cannot_be_shown_or_saved_is_told_on_a_page_that_keeps_the_rest(wha
     second, words = WRONG[what]
     code, said, printed = run(Two(second), tmp_path, capsys)
     assert code == 1
-    assert said.count("error during 'Nothing': page.") == 1
+    assert said.count("error: In 'Nothing': page.") == 1
     assert words in said
     assert len(said) < 400
     page = page_of(tmp_path)
@@ -159,7 +159,7 @@ def test_after_a_failure_sections_and_numbers_are_kept_and_nothing_is_recommende
     if isinstance(error, ValueError):  # raised with its place once everything is written
         with pytest.raises(ValueError, match="a slip"):
             ext.run_study(study, tmp_path)
-        assert "error during 'Nothing': ValueError: a slip" in capsys.readouterr().err
+        assert "error: In 'Nothing': ValueError: a slip" in capsys.readouterr().err
     else:
         assert run(study, tmp_path, capsys)[0] == 1
     page = page_of(tmp_path)

@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 import xarray
-from typer.testing import CliRunner
 
 import aleator as al
-from aleator import cli
+import command_line
 from aleator.design import responses
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 from aleator.transcription import transcribe
@@ -73,7 +72,7 @@ def test_apportionment_saves_what_the_chapter_says_with_the_published_constraint
 @pytest.mark.filterwarnings("ignore::aleator.GridWarning")
 def test_the_quick_run_writes_a_report_and_results_that_agree_with_the_library(tmp_path, monkeypatch):
     monkeypatch.setattr("aleator.studies.suspension.GRID", al.Grid(2.8, 700))  # a quarter of its steps
-    result = CliRunner().invoke(cli.application, ["run", "suspension", "--quick", "--out", str(tmp_path)])
+    result = command_line.aleator("run", "suspension", "--quick", "--out", str(tmp_path))
     assert result.exit_code == 0, result.output
     assert "wrote" in result.output
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

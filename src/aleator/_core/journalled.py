@@ -62,15 +62,6 @@ class AbstractJournal(abc.ABC):
     def place(self, what: str, given: Mapping[str, Any]) -> Place:
         """The place of a result that follows from what is given, whatever the process."""
 
-    def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
-        """Note what will be done with some problems, by their names; returns keys for `withdraw`."""
-        del what, problems
-        return []
-
-    def withdraw(self, keys: Sequence[str]) -> None:
-        """Note that nothing more is expected under these keys."""
-        del keys
-
 
 _present: ContextVar[AbstractJournal | None] = ContextVar("journal", default=None)
 _parts: ContextVar[AbstractParts | None] = ContextVar("parts of the result that is being computed", default=None)
@@ -98,21 +89,8 @@ def place_of(what: str, given: Mapping[str, Any]) -> Place:
     return Place() if journal is None else journal.place(what, given)
 
 
-@contextmanager
-def expected(what: str, problems: Mapping[str, Any]) -> Iterator[None]:
-    """Let the present journal know what a block will do, with which problems by name: they wait for their turn.
-
-    Where the block is interrupted, those not begun go on waiting, for a later run.
-    """
-    journal = _present.get()
-    keys = [] if journal is None else journal.expect(what, problems)
-    yield
-    if journal is not None:
-        journal.withdraw(keys)
-
-
 def calling(name: str) -> AbstractContextManager[None]:
-    """Let a journal call what is computed within a block by a name, unless it has one of its own."""
+    """Let a journal call what is computed within a block by a name, until a study gives it another."""
     return _set(_called, name)
 
 

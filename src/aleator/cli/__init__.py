@@ -2,13 +2,27 @@
 exit codes and JSON documents.
 """
 
-from aleator.cli._commands import check as check
-from aleator.cli._commands import list_results as list_results
-from aleator.cli._commands import resume as resume
-from aleator.cli._commands import run as run
-from aleator.cli._commands import sweep as sweep
-from aleator.cli._commands import validate as validate
-from aleator.cli._course import run_study as run_study
-from aleator.cli._results import compare as compare
-from aleator.cli._results import report as report
-from aleator_command import application as application
+from typing import Any
+
+from aleator.cli._kept_runs import compare, listed, report
+from aleator.cli._results import check, validate
+from aleator.cli._run import begin, resume
+from aleator.cli._run import run_study as run_study
+from aleator.cli._terminal import Terminal
+
+_COMMANDS = {
+    "check": check,
+    "run": begin,
+    "resume": resume,
+    "sweep": begin,
+    "validate": validate,
+    "report": report,
+    "compare": compare,
+    "list": listed,
+}
+
+
+def execute(command: str, *, as_json: bool, **arguments: Any) -> int:
+    """Do a command with its arguments by name, as `aleator_command` declares them, and return its exit code."""
+    terminal = Terminal(command, as_json)
+    return terminal.do(lambda: _COMMANDS[command](terminal, **arguments))

@@ -2,14 +2,11 @@
 
 from aleator.journalling._entries import FILE as FILE
 from aleator.journalling._entries import Entry as Entry
-from aleator.journalling._entries import Loaded as Loaded
-from aleator.journalling._entries import State as State
 from aleator.journalling._entries import examined as examined
 from aleator.journalling._entries import listing as listing
-from aleator.journalling._entries import load as load
-from aleator.journalling._entries import names_of as names_of
+from aleator.journalling._entries import numbered as numbered
 from aleator.journalling._journal import Journal as Journal
-from aleator.journalling._journal import Recalled as Recalled
 from aleator.journalling._journal import journal as journal
+from aleator.journalling._journal import load as load
 from aleator.journalling._journal import recalling as recalling
 from aleator.journalling._kept import kept as kept

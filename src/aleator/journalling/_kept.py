@@ -2,10 +2,9 @@
 
 import inspect
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any, TypeVar
 
-from aleator._core.border import Progress, a_name, check_progress, one_of, refusal
+from aleator._core.border import Progress
 from aleator._core.errors import ProblemError
 from aleator._core.journalled import journalled
 from aleator._core.parallel import heeding
@@ -40,23 +39,13 @@ def kept(
     cannot be written out, such as a lock. So is work whose result no other process could read. Ctrl-C ends the work,
     whatever the function makes of it.
 
-    Raises `ProblemError` for arguments that the function does not take, and if it returns None.
+    Raises `TypeError` for arguments that the function does not take, and `ProblemError` if it returns None.
     """
-    a_name("kept: the name", name)
-    if not isinstance(function, FunctionType):
-        raise refusal("kept: the function", "a function that takes all it works with as arguments", function)
-    reported = {}
-    if progress is not None:
-        check_progress("kept", progress)
-        reported = {"progress": progress}
-    try:
-        bound = inspect.signature(function).bind(*arguments, **named, **reported).arguments
-    except TypeError as error:
-        raise ProblemError(f"kept: expected the arguments of {function.__name__}; received others: {error}.") from None
-    one_of("kept: version", version, (str, int))
+    reported = {} if progress is None else {"progress": progress}
+    bound = inspect.signature(function).bind(*arguments, **named, **reported).arguments
     given = {f"argument {one}": value for one, value in bound.items() if one not in reported}
 
-    def found() -> Result:
+    def computed() -> Result:
         with heeding() as heed:  # what it asks for may have ended early without saying so
             result = function(*arguments, **named, **reported)
             heed()
@@ -65,4 +54,4 @@ def kept(
         return result
 
     identity = {"function": function, "called": function.__qualname__, "version": str(version)}
-    return journalled(f"work {name}", identity | given, found)
+    return journalled(f"work {name}", identity | given, computed)

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from aleator._core.border import Progress, a_name, one_of, real_array, silent
 from aleator._core.errors import ProblemError
-from aleator._core.journalled import expected
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
@@ -189,8 +188,7 @@ def pareto(
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     problems = {value: problem.with_bound(bound, value) for value in bounds}
     sweep = _Sweep(bound, problems, {"solver": solver, "transcription": transcription})
-    named = {point_name(bound, value): one for value, one in problems.items()}
-    with running("pareto", lambda: sweep.solutions, progress, executor) as run, expected("solve", named):
+    with running("pareto", lambda: sweep.solutions, progress, executor) as run:
         sweep.run(run)
     values = [value for value in bounds if value in sweep.points]
     points, neighbours = zip(*(sweep.points[value] for value in values), strict=True)

@@ -1,0 +1,177 @@
+"""The run of a study: its chapter, its results, its page and its tables, whatever ends it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, final
+
+from aleator._core.errors import AleatorError
+from aleator.cli._folder import RECORD, Record, staleness
+from aleator.cli._interruption import Interruptions
+from aleator.cli._terminal import FAILED, Terminal
+from aleator.journalling import Journal, journal
+from aleator.reporting import by_place, check_writable, designs_document, words
+from aleator.solution import Solution
+from aleator.studies import AbstractStudy, Draft
+from aleator.sweep import Front
+from aleator.validation import Evidence
+
+
+def run_study(study: AbstractStudy, folder: str | Path) -> int:
+    """Run your own study as `aleator run` runs the built-in ones; returns the exit code.
+
+    The chapter runs with its progress shown; the journal keeps each result as soon as it is there. Then, and on Ctrl-C,
+    all results are saved into `folder`, the page is written and the tables are printed.
+    """
+    terminal = Terminal("run")
+    return terminal.do(lambda: _Run(terminal, Path(folder)).execute(lambda: study))
+
+
+def begin(terminal: Terminal, out: Path | None, afresh: bool, **command: Any) -> int:
+    """Run a study, or solve one of its designs for each value of a bound; `command`: as `Record` has it."""
+    record = Record(**command)
+    return _Run(terminal, out or record.folder).execute(record.made, record, afresh=afresh)
+
+
+def resume(terminal: Terminal, folder: Path, workers: int | None) -> int:
+    """Go on with the run of a folder."""
+    record = Record.of(folder)
+    record = replace(record, workers=record.workers if workers is None else workers)
+    return _Run(terminal, folder).execute(record.made, record)
+
+
+@final
+class _Run:
+    """One run of a study in a folder, and what it says; until the study is there, there are no page and no results."""
+
+    def __init__(self, terminal: Terminal, folder: Path):
+        self._terminal, self._folder = terminal, folder
+        self._page: Draft | None = None
+        self._results: Journal | None = None
+        self._paths = list[Path]()
+        self._mistake: Exception | None = None
+        self._interruptions = Interruptions(lambda code: terminal.end_at_once(self._last_words(), code))
+
+    def execute(self, made: Callable[[], AbstractStudy], record: Record | None = None, *, afresh: bool = False) -> int:
+        """Make the study and run it while no other run writes into its folder; returns the exit code.
+
+        - `record`: the command that began it, which the folder notes.
+        """
+        with self._interruptions:
+            try:
+                study = made()
+                study.check_declaration()
+                check_writable(self._folder)
+                if record is not None:
+                    record.check_owns(self._folder)
+                with journal(self._folder, afresh=afresh) as results:
+                    if staleness(self._folder):  # so that no design of an earlier form goes by the name of this run's
+                        results.append(*(replace(entry, name="") for entry in results.entries if entry.name))
+                    if record is None:
+                        (self._folder / RECORD).unlink(missing_ok=True)
+                    else:
+                        record.write(self._folder)
+                    self._page, self._results = Draft(study), results
+                    code = self._execute(self._page, results)
+            except KeyboardInterrupt:
+                code = self._interruptions.conclude()
+                self._terminal.complain(self._last_words(), "")
+        if self._mistake is not None:
+            raise self._mistake
+        return code
+
+    def _execute(self, page: Draft, results: Journal) -> int:
+        """Run the chapter, save its results, write the page, and print the tables; returns the exit code."""
+
+        def ended(_: str) -> None:
+            _name_results(page, results)
+            self._terminal.end()
+
+        def save() -> None:
+            _name_results(page, results)
+            self._paths += page.save(self._folder)
+            self._paths.append(page.write(self._folder))
+
+        self._attempt(page, "the chapter", lambda: page.fill(self._terminal.progress, self._terminal.begin, ended))
+        with self._interruptions.shielded():
+            if page.finished or page.kept or page.failures:
+                self._attempt(page, "saving", save)
+            fronts = {place: one for place, one in by_place(page.kept).items() if isinstance(one, Front)}
+            self._terminal.note(
+                folder=str(self._folder),
+                finished=page.finished,
+                files=[str(path) for path in self._paths],
+                title=page.study.title,
+                verdict=page.headline(),
+                designs=designs_document(page.kept),
+                fronts={place: _front_document(front) for place, front in fronts.items()},
+                recalled=len(results.taken),
+            )
+        if page.stopped:
+            raise KeyboardInterrupt
+        for table in page.tables:
+            self._terminal.table(table)
+        self._terminal.tell(page.headline())
+        for path in self._paths:
+            self._terminal.tell(f"wrote {path}")
+        if results.taken:
+            self._terminal.tell(f"Results taken from an earlier run: {len(results.taken)}.")
+        for sentence in [*page.failures, *page.unsolved]:
+            self._terminal.complain(sentence)
+        return FAILED if page.failures or page.unsolved else 0
+
+    def _attempt(self, page: Draft, where: str, part: Callable[[], None]) -> None:
+        """Do a part of the run, and note on the page how it ended.
+
+        An exception in a study's own code is raised again after writing, for its traceback.
+        """
+        try:
+            part()
+        except KeyboardInterrupt:
+            page.stop()
+        except Exception as error:
+            if self._interruptions.received is not None:  # which a library has turned into another exception
+                page.stop()
+                return
+            page.fail(where, error)
+            if not isinstance(error, AleatorError | MemoryError | OSError):
+                self._mistake = self._mistake or error
+
+    def _last_words(self) -> str:
+        """What an interrupted run has finished and kept."""
+        if self._page is None or self._results is None:
+            return "Interrupted: nothing was begun."
+        during = f" during '{self._page.present}'" if self._page.present else ""
+        finished = words([f"'{name}'" for name in self._page.finished], "no part")
+        kept = "1 result is" if len(self._results) == 1 else f"{len(self._results)} results are"
+        return f"Interrupted{during}: {kept} kept in '{self._folder}'; finished: {finished}."
+
+
+def _name_results(page: Draft, results: Journal) -> None:
+    """Let the journal know what the study calls its results, for `aleator validate` and `al.load`.
+
+    Where one result has several places, the first is its name.
+    """
+    kept = [(place, one) for place, one in by_place(page.kept).items() if isinstance(one, Solution | Evidence)]
+    results.call(dict(reversed(kept)))
+
+
+def _front_document(front: Front) -> dict[str, Any]:
+    """A front, point by point."""
+    columns = zip(front.values, front.points, front.objectives, front.shadow_prices, front.violations, strict=True)
+    return {
+        "bound": front.bound,
+        "interrupted": front.interrupted,
+        "points": [
+            {
+                "value": value,
+                "status": point.status.value,
+                "objective": objective,
+                "shadow_price": price,
+                "violation": violation,
+                "decisions": dict(point.decisions) if isinstance(point, Solution) and point.ok else {},
+                "why": None if point.ok else point.why(),
+            }
+            for value, point, objective, price, violation in columns
+        ],
+    }
