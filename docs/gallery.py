@@ -160,14 +160,14 @@ EVERY: dict[str, dict[str, Entry]] = {
             "The same arm follows a motion exactly, and its torques vary with the payload (inverse dynamics). For "
             "which margin does no payload overload a joint?",
             "Both torques for all payloads, between their limits.",
-            lambda: study("pick-and-place-time", "Torques of the robust plans", 1),
+            lambda: study("pick-and-place-time", "Torques, robust, a = √3"),
         ),
         "swing-up": Entry(
             "Swing-up of a double pendulum",
             "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean ends upright, "
             "and the spread of the tip is bounded.",
             "The motor's torque for 200 pendulums: mean, standard deviation and range.",
-            lambda: study("swing-up", "Torque over time"),
+            lambda: study("swing-up", "Torques, robust, expected torque"),
         ),
         "four-bar": Entry(
             "A straight-line linkage",

@@ -14,6 +14,7 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
 from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy, CaseStudy
+from aleator.studies._toml import load_toml
 from aleator_command._studies import STUDIES as STUDIES
 
 # A module with a package or an object, or both.
@@ -30,8 +31,6 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
     if name.endswith(".py"):
         study = load_file(Path(name))
     elif name.endswith(".toml"):
-        from aleator.studies._toml import load_toml  # which imports pydantic
-
         importable(Path(name).parent)
         study = load_toml(Path(name), load_module)
     elif _MODULE.fullmatch(name):
@@ -42,9 +41,9 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
             f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
             f"your own, such as {own}.py (`aleator new {own}.py` begins one)."
         )
-    if quick and not isinstance(study, Study):
-        raise ProblemError(f"{name}: its study is a {type(study).__name__}, which has no quick form: run it in full.")
-    return study.quickened() if quick and isinstance(study, Study) else study
+    if not quick:
+        return study
+    return one_of(f"{name}: a study with a quick form", study, Study, "al.Study(problem)").quickened()
 
 
 def load_file(path: Path) -> AbstractStudy:
@@ -81,14 +80,9 @@ def load_module(place: str) -> AbstractStudy:
         declared = getattr(module, attribute, None) if attribute else None
         if callable(declared) and not isinstance(declared, AbstractStudy | Problem):
             declared = declared()
-    except ModuleNotFoundError as error:
-        missing = error.name or name
-        if name == missing or name.startswith(f"{missing}."):
-            raise ProblemError(f"There is no module '{missing}', which the study '{place}' needs.") from error
-        raise ProblemError(f"{place}: it imports '{missing}', which is not installed.") from error
     except Exception as error:
         raise _refused(place, error) from error
-    if attribute and not hasattr(module, attribute):
+    if attribute and declared is None:
         raise ProblemError(f"{place}: the module has no '{attribute}'.{meant(attribute, dir(module))}")
     if isinstance(declared, Problem):
         return Study(declared, title=attribute.replace("_", " ").capitalize())
@@ -104,9 +98,8 @@ def importable(*folders: Path) -> None:
 
 def _study_of(owner: str, declared: Mapping[str, Any]) -> AbstractStudy:
     """The study that a file declares by its names: `study`, or a `Study` of its problems. Raises `ProblemError`."""
-    study = declared.get("study")
-    if study is not None:
-        return one_of(f"{owner}: study", study, AbstractStudy, "al.Study(problem)")
+    if declared.get("study") is not None:
+        return one_of(f"{owner}: study", declared["study"], AbstractStudy, "al.Study(problem)")
     problems = {name: one for name, one in declared.items() if isinstance(one, Problem) and not name.startswith("_")}
     if not problems:
         raise ProblemError(

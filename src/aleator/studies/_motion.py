@@ -1,27 +1,25 @@
-"""What the motion studies share: searches from several starts, a calibrated margin, tables and figures of plans.
+"""What the motion studies share: searches from several starts, plans on random systems, figures of linkages.
 
 The margin of one standard deviation in the dissertation leaves a fifth to two fifths of the systems beyond a limit. So
 every study calibrates a margin until fresh systems confirm it for `TARGET`, counting all limits of the problem jointly.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 import aleator as al
 from aleator import reporting
 from aleator.journalling import kept
-from aleator.reporting import Code, Drawing, Verdict, number
+from aleator.reporting import Drawing
+from aleator.studies._shared import TARGET, sampled
 from aleator.studies._study import Draft
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-TARGET = 0.01
-"""The share of systems that may break any limit."""
 
 CALIBRATED = "calibrated"
 
@@ -74,13 +72,13 @@ def judged(
     systems: int,
 ) -> Plans:
     """The plans that were found, and the calibrated one if there is a margin, on fresh systems and on random ones."""
-    plans, evidence = {name: one.best for name, one in searches.items()}, dict[str, al.results.Evidence]()
+    plans = {name: one.best for name, one in searches.items()}
+    evidence = sampled(page, plans, samples)
     if margin is not None:
         plans[CALIBRATED] = margin.solution
-    for name, plan in plans.items():
-        known = margin.evidence if margin is not None and name == CALIBRATED else None
-        evidence[name] = known or al.validate(plan, samples, seed=1, keep=25, progress=page.progress)
-        page.keep("evidence", {name: evidence[name]})
+        if margin.evidence is not None:
+            evidence[CALIBRATED] = margin.evidence
+            page.keep("evidence", {CALIBRATED: margin.evidence})
     return Plans(plans, evidence, {name: flown(name, plan, systems) for name, plan in plans.items()})
 
 
@@ -90,59 +88,6 @@ def flown(name: str, plan: al.Solution, systems: int, problem: al.Problem | None
     return kept(f"systems, {name}", al.simulate_systems, at_design, systems, seed=2)
 
 
-def held_at_instants(page: Draft, plans: Mapping[str, al.Solution], names: Iterable[str]) -> dict[str, float]:
-    """The objectives of plans whose limits hold at the instants alone, as in the programs they are compared with."""
-    coarse = {name: al.solve(plans[name].problem, start=plans[name].decisions, between=1) for name in names}
-    page.keep("at_instants", coarse)
-    return {name: plan.objective for name, plan in coarse.items()}
-
-
-def to_build(
-    margin: al.results.Calibration | None, printed: al.Solution, evidence: al.results.Evidence, **said: Any
-) -> Verdict:
-    """The calibrated plan, or the `printed` one where no margin was calibrated.
-
-    All limits of a calibrated plan have to hold as often as those with a margin.
-    """
-    if margin is None:
-        return reporting.recommendation(printed, evidence, target=TARGET, **said)
-    shares = [one for one in (margin.confirmation, margin.evidence and margin.evidence.joint) if one is not None]
-    return reporting.recommendation(
-        margin.solution,
-        margin.evidence,
-        nominal=printed,
-        compared={"with the printed margin": evidence},
-        confirmation=max(shares, key=lambda one: one.upper, default=None),
-        target=margin.target,
-        **said,
-    )
-
-
-def add_trust(page: Draft, searches: Mapping[str, al.results.Starts], plans: Plans) -> None:
-    """Append how far plans can be trusted: the local optima of each search, and the certificates."""
-    page.section("Local optima", folded=True)
-    note = (
-        "The problem is not convex: each start leads to a local optimum nearby, or to none. The plan is the best of "
-        "them, but there may be a better one. Plans of equal objective, such as mirrored ones, count as one."
-    )
-    page.add(note, *(Code(name.capitalize(), str(search), opened=True) for name, search in searches.items()))
-    page.section("Certificate", folded=True)
-    page.add(reporting.certificate_table(plans.solutions))
-
-
-def over_the_first(what: str, printed: Mapping[str, float], ours: Mapping[str, float]) -> dict[str, dict[str, str]]:
-    """By plan, what can be compared with values of another arm, or of sums over unstated samples: their ratios."""
-    first = next(iter(printed))
-    return {
-        name: {
-            f"{what} over that of the first, published": number(printed[name] / printed[first], 3),
-            "– ours, likewise": number(ours[name] / ours[first], 3),
-        }
-        for name in printed
-        if name in ours
-    }
-
-
 # --- Figures -------------------------------------------------------------------------------------------------------
 
 
@@ -150,63 +95,85 @@ class Linkage(NamedTuple):
     """Two links in the plane, with their fixed joint at the origin.
 
     - `elbow`: its place from the outputs, m; `posture`, `target`: the joints' angles (rad) and the tip (m) at the end;
-    - `scene`: what stands around it; `broken`: which systems break a limit.
+    - `torques`: their names by label; `limit`: of each, N m; `scene`: what stands around it;
+    - `limits`: outputs with the range outside of which a system is highlighted.
     """
 
     elbow: Callable[[Outputs], Float[np.ndarray, "... 2"]]
-    posture: Sequence[float]
-    target: Sequence[float]
+    posture: tuple[float, float]
+    target: tuple[float, float]
+    torques: Mapping[str, str]
+    limit: float
+    limits: Mapping[str, tuple[float, float]]
     scene: reporting.Scene
-    broken: Callable[[al.results.Motions], Bool[np.ndarray, " systems"]]
 
-    def joints(self, outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
-        """Base, elbow and tip, m."""
-        tip = np.stack([outputs["tip_x"], outputs["tip_y"]], axis=-1)
-        return np.stack([np.zeros_like(tip), self.elbow(outputs), tip], axis=-2)
+    def show(
+        self,
+        page: Draft,
+        plans: Plans,
+        animated: Sequence[str],
+        figures: Mapping[str, tuple[str, str]],
+        animation: str = "",
+    ) -> None:
+        """Append plans in motion, and over time.
 
-    def animation(self, plans: Plans, names: Sequence[str], figure: str = "") -> Drawing:
-        """Plans of these names on their systems, side by side."""
-        figures = []
-        for name in names:
-            family = plans.families[name]
-            moving, around = self.joints(family.systems), self._around(name, plans)
-            still = np.asarray(family.times), moving, moving[median(family)]
-            figures.append(reporting.linkage_animation(*still, **around))
-        caption = "Press play, or drag the slider. Thin: random systems under the same plan. Thick: the median one."
-        return Drawing(figures, "The plans in motion", caption, figure)
+        - `figures`: the numbers of the figures of torques, and of joints and tip, by plan; `animation`: that of it.
+        """
+        page.section("The motion")
+        told = "Press play, or drag the slider. Thin: random systems under the same plan. Thick: the median one."
+        page.add(Drawing([self._moving(plans, name) for name in animated], "The plans in motion", told, animation))
+        paths = [self.paths(plans, name, one) for name, one in plans.families.items()]
+        page.add(Drawing(paths, "Path of the tip", "Cross: the target. Systems that break a limit are highlighted."))
+        page.section("Over time")
+        for name, (torque, joints) in figures.items():
+            if name in plans.families:
+                page.add(
+                    Drawing([self._torques(plans.families[name])], f"Torques, {name}", SHADES, torque),
+                    Drawing(self.histories(plans.families[name]), f"Joints and tip, {name}", SHADES, joints),
+                )
 
-    def paths(self, name: str, family: al.results.Motions, plans: Plans) -> "Figure":
+    def paths(self, plans: Plans, name: str, family: al.results.Motions) -> "Figure":
         """The path of each system's tip under the plan of this name, and which systems break a limit."""
-        tips = self.joints(family.systems)[..., -1, :]
-        around = self._around(name, plans)
-        return reporting.plane_figure(tips, tips[median(family)], broken=self.broken(family), **around)
-
-    def _around(self, name: str, plans: Plans) -> dict[str, Any]:
-        look = reporting.looks(plans.solutions)[name]
-        return {"look": look, "scene": self.scene, "target": self.target, "title": name.capitalize()}
+        tips, rows = _tips(family), family.systems
+        beyond = [(rows[output] < least) | (rows[output] > most) for output, (least, most) in self.limits.items()]
+        broken = np.any(beyond, axis=(0, 2))
+        return reporting.plane_figure(tips, tips[_median(family)], broken=broken, **self._around(plans, name))
 
     def histories(self, family: al.results.Motions) -> list["Figure"]:
         """Both joints' angles and the place of the tip over time, with their targets."""
-        posture = {"q₁": float(self.posture[0]), "q₂": float(self.posture[1])}
-        target = {"x": float(self.target[0]), "y": float(self.target[1])}
+        posture = dict(zip(("q₁", "q₂"), self.posture, strict=True))
+        target = dict(zip(("x", "y"), self.target, strict=True))
         return [
-            bands(family, {"q₁": "q1", "q₂": "q2"}, y="Joint angle", unit="rad", targets=posture, title="Joints"),
-            bands(family, {"x": "tip_x", "y": "tip_y"}, y="Place of the tip", unit="m", targets=target, title="Tip"),
+            _bands(family, {"q₁": "q1", "q₂": "q2"}, y="Joint angle", unit="rad", targets=posture, title="Joints"),
+            _bands(family, {"x": "tip_x", "y": "tip_y"}, y="Place of the tip", unit="m", targets=target, title="Tip"),
         ]
 
+    def _torques(self, family: al.results.Motions) -> "Figure":
+        return _bands(family, self.torques, y="Torque", unit="N m", limits=(-self.limit, self.limit))
 
-def median(family: al.results.Motions) -> int:
+    def _moving(self, plans: Plans, name: str) -> "Figure":
+        family = plans.families[name]
+        tip = _tips(family)
+        joints = np.stack([np.zeros_like(tip), self.elbow(family.systems), tip], axis=-2)
+        median = joints[_median(family)]
+        return reporting.linkage_animation(np.asarray(family.times), joints, median, **self._around(plans, name))
+
+    def _around(self, plans: Plans, name: str) -> dict[str, Any]:
+        look = reporting.looks(plans.solutions)[name]
+        return {"look": look, "scene": self.scene, "target": self.target, "title": name.capitalize()}
+
+
+def _tips(family: al.results.Motions) -> Float[np.ndarray, "systems instants 2"]:
+    return np.stack([family.systems["tip_x"], family.systems["tip_y"]], axis=-1)
+
+
+def _median(family: al.results.Motions) -> int:
     """Which of the systems has the median of the one uncertain number."""
     (numbers,) = family.numbers.values()
     return int(np.argsort(numbers)[len(numbers) // 2])
 
 
-def bands(family: al.results.Motions, names: Mapping[str, str], **more: Any) -> "Figure":
+def _bands(family: al.results.Motions, names: Mapping[str, str], **more: Any) -> "Figure":
     """Outputs of all systems over time; `names` by their labels."""
     rows = {label: family.systems[name] for label, name in names.items()}
     return reporting.bands_figure(np.asarray(family.times), rows, **more)
-
-
-def torques_figure(family: al.results.Motions, names: Mapping[str, str], limit: float, title: str = "") -> "Figure":
-    """Torques over time, between their limits (N m)."""
-    return bands(family, names, y="Torque", unit="N m", limits=(-limit, limit), title=title)
