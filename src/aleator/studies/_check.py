@@ -44,7 +44,7 @@ class Check:
                 troubles = [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
                 self.facts[name]["derivatives_agree"] = found.ok
             except SimulationError as error:
-                troubles, self.facts[name]["derivatives_agree"] = [str(error)], False
+                troubles = [str(error)]
             self.troubles += [f"{name}: {trouble}" for trouble in troubles]
 
     def mathematics(self) -> list[Code]:
@@ -61,8 +61,7 @@ class Check:
 
     def table(self) -> Table:
         """A column for each problem."""
-        count = self._solves
-        solves = f", and {count} {'solve' if count == 1 else 'solves'} in all" if count else ""
+        solves = f", and {self._solves} {'solve' if self._solves == 1 else 'solves'} in all" if self._solves else ""
         note = f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve{solves}."
         return side_by_side("What will be done", {name: _column(one) for name, one in self.facts.items()}, note)
 
@@ -120,7 +119,6 @@ def _facts(problem: Problem, samples: int | None) -> dict[str, Any]:
 
 def _column(facts: Mapping[str, Any]) -> dict[str, str]:
     """What is printed of these facts."""
-    derivatives = "agree with differences" if facts["derivatives_agree"] else "see below"
     return {
         "decisions": f"{facts['decisions']}",
         "uncertain numbers": f"{facts['uncertain']}",
@@ -129,7 +127,7 @@ def _column(facts: Mapping[str, Any]) -> dict[str, str]:
         "collocation points": f"{facts['points']}",
         "condition number": f"{facts['condition_number']:.3g}",
         "rows of limits": f"{facts['rows']}",
-        "derivatives": derivatives,
+        "derivatives": "agree with differences" if facts["derivatives_agree"] else "see below",
         "compilation": f"{facts['seconds_to_compile']:.2g} s",
         "one solve": f"about {_EVALUATIONS * facts['seconds_of_evaluation']:.2g} s",
     }

@@ -15,11 +15,11 @@ from aleator._core.border import a_name, meant, one_of, positive, real_array, re
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.reporting import TARGET, Section, Verdict, number, words
+from aleator.reporting import TARGET, Section, Verdict
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._study import AbstractStudy, Draft
-from aleator.sweep import Front, TradeOff, pareto, point_name, trade_off, validate_all, workers
+from aleator.sweep import Front, TradeOff, pareto, trade_off, validate_all, workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
@@ -204,19 +204,13 @@ class SweptStudy(AbstractStudy):
         with executor_of(self.workers) as executor:
             how = {"executor": executor, "progress": page.progress, **self.solving}
             front = pareto(self.problems[self._name], self._bound, self._values, **how)
-        pairs = zip(front.values[front.solved].tolist(), front.objectives[front.solved].tolist(), strict=True)
-        solved = dict(sorted(pairs))
-        said = f"{len(solved)} of {len(self._values)} points over {self._bound} are solved"
-        if solved:
-            ends = [
-                f"{number(solved[value], 4)} at {point_name(front.bound, value)}"
-                for value in sorted({min(solved), max(solved)})
-            ]
-            level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
-            page.recommend(Verdict(level, word, f"{said}; the objective is {words(ends)}."))
-        elif front.points:
-            page.unsolved.append(f"{said}. The first: {front.points[0].why()}")
-            page.recommend(Verdict("bad", "Nothing solved", page.unsolved[-1]))
+        solved, asked = int(front.solved.sum()), len(self._values)
+        said = f"{solved} of {asked} points over {self._bound} are solved."
+        if not solved and front.points:
+            said += f" The first: {front.points[0].why()}"
+            page.unsolved.append(said)
+        word = "Swept" if solved == asked else "Partly solved" if solved else "Nothing solved"
+        page.recommend(Verdict("good" if solved == asked else "caution" if solved else "bad", word, said))
         page.append(Section("Points", reporting.front_blocks({self._name: front}) if front.points else []))
         if front.points:
             page.tables.append(replace(reporting.front_table({"": front}), caption=f"{self._name} over {self._bound}"))

@@ -116,10 +116,11 @@ class Draft:
         if name:
             self._begun(name)
 
-    def section(self, heading: str, *, folded: bool = False) -> None:
-        """Begin a section, and a step of its name; a reader opens it if it is `folded`."""
+    def section(self, heading: str, *blocks: Block | str, folded: bool = False, printed: bool = False) -> None:
+        """Begin a section, and a step of its name, with what is there already; a reader opens it if it is `folded`."""
         self.step(heading)
         self.append(Section(heading, [], folded))
+        self.add(*blocks, printed=printed)
 
     def append(self, *sections: Section) -> None:
         """Append sections that are there already."""

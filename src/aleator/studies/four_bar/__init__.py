@@ -5,13 +5,8 @@ servomotor drives it from rest to rest; the way back is the same motion reversed
 closed by two constraints, whose multipliers are the force in the rocker's pin. Lengths vary within their tolerances,
 and each pin sits somewhere in its clearance.
 
-There are three designs, from one problem that differs only in numbers, so that all are solved by one compiled program:
-
-- dOpt chooses lengths and the tool's place on the coupler for the mean linkage;
-- uOpt chooses them for all linkages that the given tolerances allow;
-- aOpt chooses tolerances and clearances as well, at minimum cost, so that the tool stays within a given zone.
-
-Lengths in mm, forces and masses in SI units.
+The three designs are one problem that differs only in numbers, so that all are solved by one compiled program. Lengths
+in mm, forces and masses in SI units.
 """
 
 import math

@@ -7,9 +7,8 @@ import aleator as al
 from aleator import reporting
 from aleator.journalling import kept
 from aleator.reporting import Drawing, Table, Text, given, number, percent, share_text
-from aleator.studies import _motion as motion
+from aleator.studies import _shared as shared
 from aleator.studies import pick_and_place_effort as effort
-from aleator.studies._shared import add_trust, comparison, margin_drawing, to_build
 from aleator.studies._study import Draft
 from aleator.studies.two_link_arm import TORQUE
 from aleator.studies.two_link_arm._views import ARM, arm_schematic
@@ -70,8 +69,7 @@ def chapter(page: Draft, quick: bool) -> None:
     """Section 5.5.1, and the margin to build with, which it leaves open."""
     starts, samples, systems, trial = (1, 2_000, 400, 2_000) if quick else (4, 20_000, 2_000, 10_000)
 
-    page.section("The system")
-    page.add(arm_schematic(page, effort.PAYLOAD))
+    page.section("The system", arm_schematic(page, effort.PAYLOAD))
 
     page.section("The plans")
     # Deterministic from bent paths; the others from the plan before them, and from these paths as well.
@@ -80,13 +78,13 @@ def chapter(page: Draft, quick: bool) -> None:
     for name, problem in page.study.problems.items():
         if not (quick and name == LEAST):
             earlier = [dict(one.best.decisions) for one in searches.values()][-1:]
-            searches[name] = motion.search(page, name, problem, [*earlier, *bent[len(earlier) :]])
-    tried = effort.robust_problem(motion.TRIED, guess=searches[ROBUST].best.decisions["torque.free"])
-    margin = motion.calibrated(page, tried, ["obstacle", "wall"], trial)
-    plans = motion.judged(page, searches, margin, samples, systems)
+            searches[name] = shared.search(page, name, problem, [*earlier, *bent[len(earlier) :]])
+    tried = effort.robust_problem(shared.TRIED, guess=searches[ROBUST].best.decisions["torque.free"])
+    margin = shared.calibrated(page, tried, ["obstacle", "wall"], trial)
+    plans = shared.judged(page, searches, margin, samples, systems)
     families, robust = plans.families, plans.solutions[ROBUST]
     page.recommend(
-        to_build(
+        shared.to_build(
             margin,
             robust,
             plans.evidence[ROBUST],
@@ -97,33 +95,30 @@ def chapter(page: Draft, quick: bool) -> None:
             sentences=[
                 f"With one σ of clearance {share_text(plans.evidence[ROBUST].violations['obstacle'])} of the payloads "
                 "hit the obstacle: for a uniform distribution 21.1 % lie beyond one σ on one side.",
-                f"At the end the tip has σ = {spread(families[motion.CALIBRATED])} m in x and y, which clearance does "
+                f"At the end the tip has σ = {spread(families[shared.CALIBRATED])} m in x and y, which clearance does "
                 "not reduce, and no open-loop plan brings to zero: feedback has to do the rest.",
             ],
         )
     )
     page.add(reporting.designs_table(plans.solutions, plans.evidence), printed=True)
 
-    page.section("Comparison with published values")
-    page.add(compared(plans), printed=True)
-
+    page.section("Comparison with published values", compared(plans), printed=True)
     ARM.show(page, plans, (MEAN, ROBUST), {MEAN: ("", "5.2"), ROBUST: ("", "5.3"), LEAST: ("", "5.4")})
 
     if not quick:
         page.section("How wide a payload")
         wide = effort.robust_problem(payload=WIDE)
         error = kept("error of the expansion", error_at_end, wide, robust.vector)
-        thrown = motion.flown(f"payload {WIDE}", robust, systems, wide)
+        thrown = shared.flown(f"payload {WIDE}", robust, systems, wide)
         told = f"Here it misses {percent(error)} of the spread of the first joint at the end."
         figures = [ARM.histories(thrown)[0], ARM.paths(plans, ROBUST, thrown)]
         page.add(
             Text([LESSON, told], lead="No single open-loop plan suits widely spread payloads."),
-            Drawing(figures, f"The robust plan with payload {WIDE}", motion.SHADES),
+            Drawing(figures, f"The robust plan with payload {WIDE}", shared.SHADES),
         )
 
-    page.section("How wide a margin")
-    page.add(margin_drawing(margin, "The margin for a tolerated share of violations", "payloads"))
-    add_trust(page, plans.solutions, searches)
+    page.section("How wide a margin", shared.margin_drawing(margin, "payloads"))
+    shared.add_trust(page, plans.solutions, searches)
 
 
 def error_at_end(problem: al.Problem, decisions: Float[np.ndarray, " n"]) -> float:
@@ -141,7 +136,7 @@ def spread(family: al.results.Motions) -> str:
     return " and ".join(number(float(family.moments[output].std[-1]), 3) for output in effort.TIP)
 
 
-def compared(plans: motion.Plans) -> Table:
+def compared(plans: shared.Plans) -> Table:
     """Published values and those of an independent program, compared with ours."""
     efforts = {name: effort_of(plan) for name, plan in plans.solutions.items()}
     ours = {f"Effort, {name} ({UNIT})": number(one, 5) for name, one in efforts.items()}
@@ -156,4 +151,4 @@ def compared(plans: motion.Plans) -> Table:
         "them too. The published efforts are sums over an unstated number of samples, for another inertia model, "
         "another obstacle and a payload with a standard deviation of 0.5 kg."
     )
-    return comparison(("Published", "Reference", "Ours"), PUBLISHED, ours, note)
+    return shared.comparison(("Published", "Reference", "Ours"), PUBLISHED, ours, note)

@@ -5,8 +5,7 @@ import numpy as np
 import aleator as al
 from aleator import reporting
 from aleator.reporting import Text, given, number, percent, share_text
-from aleator.studies import _motion as motion
-from aleator.studies._shared import TARGET, add_trust, comparison, margin_drawing
+from aleator.studies import _shared as shared
 from aleator.studies._study import Draft
 from aleator.studies.pick_and_place_time import PAYLOAD, deterministic_problem, robust_problem
 from aleator.studies.two_link_arm import TORQUE
@@ -56,18 +55,18 @@ def chapter(page: Draft, quick: bool) -> None:
     """Section 5.5.2, and the margin of section 5.6."""
     starts, samples, systems, trial = (3, 4_000, 400, 2_000) if quick else (16, 20_000, 2_000, 10_000)
 
-    page.section("The system")
-    page.add(arm_schematic(page, PAYLOAD))
+    page.section("The system", arm_schematic(page, PAYLOAD))
 
     page.section("The plans")
     # The first from random starts, the robust ones from the optima before them too.
-    searches = {MEAN: motion.search(page, MEAN, page.study.problems[MEAN], starts)}
+    searches = {MEAN: shared.search(page, MEAN, page.study.problems[MEAN], starts)}
     for name, sigmas in MARGINS.items():
         earlier = [dict(one.decisions) for each in searches.values() for one, _ in each.optima[:4]]
-        last = list(searches.values())[-1].best
-        searches[name] = motion.search(page, name, from_plan(sigmas, last), earlier)
-    margin = motion.calibrated(page, from_plan(motion.TRIED, searches[ONE].best), ["torque"], trial)
-    plans = motion.judged(page, searches, margin, samples, systems)
+        last = list(searches.values())[-1].best.decisions["motion.free"]
+        searches[name] = shared.search(page, name, robust_problem(sigmas, guess=last), earlier)
+    tried = robust_problem(shared.TRIED, guess=searches[ONE].best.decisions["motion.free"])
+    margin = shared.calibrated(page, tried, ["torque"], trial)
+    plans = shared.judged(page, searches, margin, samples, systems)
     durations = {name: plan.objective for name, plan in plans.solutions.items()}
     page.recommend(
         reporting.recommendation(
@@ -76,7 +75,7 @@ def chapter(page: Draft, quick: bool) -> None:
             labels={"t_final": "a motion of", "motion.free": "both joints' splines of"},
             nominal=plans.solutions[ONE],
             compared={"with the printed margin": plans.evidence[ONE]},
-            target=TARGET,
+            target=shared.TARGET,
             who="payloads",
             objective="duration",
             change=("longer", "shorter"),
@@ -86,13 +85,12 @@ def chapter(page: Draft, quick: bool) -> None:
                 f"overload a joint. This agrees with theory: {percent(1 - 1 / np.sqrt(3))} of uniform payloads lie "
                 "outside μ ± σ.",
                 f"If {given(100 * margin.target)} % of the payloads may fail, a = {number(margin.sigmas, 4)} saves "
-                f"{number(1000 * (durations[WORST] - durations[motion.CALIBRATED]), 2, 'ms')}.",
+                f"{number(1000 * (durations[WORST] - durations[shared.CALIBRATED]), 2, 'ms')}.",
             ],
         )
     )
     page.add(reporting.designs_table(plans.solutions, plans.evidence), printed=True)
 
-    page.section("Comparison with published values")
     ours = {f"t_f, {name} (s)": number(one, 5) for name, one in durations.items()}
     ours[f"t_f, {ONE}, over the first"] = number(durations[ONE] / durations[MEAN], 4)
     note = (
@@ -100,18 +98,10 @@ def chapter(page: Draft, quick: bool) -> None:
         "them too. The published times cannot be reproduced: the dissertation gives neither the inertias nor the "
         "obstacle, and no arm whose parameters are all one has both of its times."
     )
-    page.add(comparison(("Published", "Reference", "Ours"), PUBLISHED, ours, note), printed=True)
-
+    table = shared.comparison(("Published", "Reference", "Ours"), PUBLISHED, ours, note)
+    page.section("Comparison with published values", table, printed=True)
     ARM.show(page, plans, (MEAN, WORST), {MEAN: ("5.5", ""), ONE: ("5.6", ""), WORST: ("5.6", "5.7")})
 
-    page.section("How wide a margin")
-    page.add(
-        Text(WHY, lead="Why one σ excludes four payloads in ten."),
-        margin_drawing(margin, "The margin for a tolerated share of violations", "payloads"),
-    )
-    add_trust(page, plans.solutions, searches)
-
-
-def from_plan(sigmas: float, plan: al.Solution) -> al.Problem:
-    """The problem of a robust plan, to be solved from another plan."""
-    return robust_problem(sigmas, guess=plan.decisions["motion.free"])
+    why = Text(WHY, lead="Why one σ excludes four payloads in ten.")
+    page.section("How wide a margin", why, shared.margin_drawing(margin, "payloads"))
+    shared.add_trust(page, plans.solutions, searches)

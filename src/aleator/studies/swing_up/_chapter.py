@@ -6,9 +6,8 @@ import aleator as al
 from aleator import reporting
 from aleator.nlp import HELD
 from aleator.reporting import Scene, Table, Text, given, number, share_text
-from aleator.studies import _motion as motion
+from aleator.studies import _shared as shared
 from aleator.studies import swing_up
-from aleator.studies._shared import add_trust, comparison, margin_drawing, system, to_build
 from aleator.studies._study import Draft
 from aleator.studies.swing_up import MASS_2, TORQUE, VARIANCE, deterministic_problem, robust_problem
 
@@ -16,7 +15,7 @@ MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, ex
 FAR = 0.2
 """A tip that ends further than this from upright, m, is a miss."""
 LENGTH_1 = 0.5
-PENDULUM = motion.Linkage(
+PENDULUM = shared.Linkage(
     elbow=lambda outputs: LENGTH_1 * np.stack([-np.sin(outputs["q1"]), np.cos(outputs["q1"])], axis=-1),
     posture=(0.0, 0.0),
     target=(0.0, LENGTH_1 + 1.0),
@@ -81,12 +80,11 @@ def chapter(page: Draft, quick: bool) -> None:
     """Section 5.5.3, and the margin to build with, which it leaves open."""
     starts, samples, systems, trial = (1, 1_000, 200, 0) if quick else (5, 20_000, 2_000, 5_000)
 
-    page.section("The system")
     told = (
         f"To scale, hanging at the start and upright at the target. The mass of the second link in kg: {MASS_2}. Only "
         "the first joint is driven; both have friction."
     )
-    page.add(system(page, "swing_up/pendulum.svg", "Double pendulum", told, "5.8"))
+    page.section("The system", shared.system(page, "swing_up/pendulum.svg", "Double pendulum", told, "5.8"))
 
     page.section("The plans")
     searches = dict[str, al.results.Starts]()
@@ -95,14 +93,14 @@ def chapter(page: Draft, quick: bool) -> None:
             # From the problem's own start and several swings, and from the optimum before it.
             swings = [{}, *(swing(*one) for one in STARTS)][:starts]
             earlier = [dict(searches[ENERGY].best.decisions)] if ENERGY in searches else []
-            searches[name] = motion.search(page, name, problem, [*earlier, *swings])
+            searches[name] = shared.search(page, name, problem, [*earlier, *swings])
     found = searches[EXPECTED].best.decisions
-    tried = robust_problem(motion.TRIED, guess=found["motion.q1.free"], duration=float(found["t_final"]))
-    margin = None if quick else motion.calibrated(page, tried, ["torque"], trial)
-    plans = motion.judged(page, searches, margin, samples, systems)
+    tried = robust_problem(shared.TRIED, guess=found["motion.q1.free"], duration=float(found["t_final"]))
+    margin = None if quick else shared.calibrated(page, tried, ["torque"], trial)
+    plans = shared.judged(page, searches, margin, samples, systems)
     families = plans.families
     page.recommend(
-        to_build(
+        shared.to_build(
             margin,
             plans.solutions[EXPECTED],
             plans.evidence[EXPECTED],
@@ -113,24 +111,20 @@ def chapter(page: Draft, quick: bool) -> None:
             sentences=[
                 f"Of the pendulums flown with the {name} plan {missed(families[name])} end more than "
                 f"{given(FAR, 'm')} from upright, which no limit on single pendulums covers."
-                for name in (MEAN, EXPECTED if margin is None else motion.CALIBRATED)
+                for name in (MEAN, EXPECTED if margin is None else shared.CALIBRATED)
             ],
         )
     )
     page.add(reporting.designs_table(plans.solutions, plans.evidence), printed=True)
 
-    page.section("Comparison with published values")
-    page.add(compared(plans), printed=True)
-
+    page.section("Comparison with published values", compared(plans), printed=True)
     figures = {MEAN: ("5.10", "5.11"), EXPECTED: ("5.13", "5.14")}
     PENDULUM.show(page, plans, (MEAN, EXPECTED), figures, "5.9 and 5.12")
 
-    page.section("The effect of friction")
-    page.add(Text(FRICTION))
+    page.section("The effect of friction", Text(FRICTION))
     if margin is not None:
-        page.section("How wide a margin")
-        page.add(margin_drawing(margin, "The margin for a tolerated share of violations", "pendulums"))
-    add_trust(page, plans.solutions, searches)
+        page.section("How wide a margin", shared.margin_drawing(margin, "pendulums"))
+    shared.add_trust(page, plans.solutions, searches)
 
 
 def swing(lasting: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:
@@ -152,7 +146,7 @@ def missed(family: al.results.Motions) -> str:
     return share_text(al.results.Proportion(int(far.sum()), len(far)))
 
 
-def compared(plans: motion.Plans) -> Table:
+def compared(plans: shared.Plans) -> Table:
     """Published values and those of an independent search, compared with ours."""
     energies = {name: plan.objective for name, plan in plans.solutions.items()}
     ours = {f"Energy, {name} (J)": number(one, 4) for name, one in energies.items()}
@@ -168,4 +162,4 @@ def compared(plans: motion.Plans) -> Table:
         f"{given(VARIANCE, 'm²')} in the robust plans only. Powers are rounded off where they are zero, by at most "
         f"{given(swing_up.SMOOTHING)} J a second."
     )
-    return comparison(("Published", "Reference", "Ours"), PUBLISHED, ours, note)
+    return shared.comparison(("Published", "Reference", "Ours"), PUBLISHED, ours, note)

@@ -4,8 +4,7 @@ import numpy as np
 
 import aleator as al
 from aleator.reporting import Scene, Schematic
-from aleator.studies._motion import Linkage
-from aleator.studies._shared import system
+from aleator.studies._shared import Linkage, system
 from aleator.studies._study import Draft
 from aleator.studies.two_link_arm import OBSTACLE, TARGET, TORQUE
 
