@@ -173,7 +173,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "A straight-line linkage",
             "Lengths, tolerances and clearances of Hoeken's linkage, at the lowest cost for which all but a few keep "
             "the tool in its zone.",
-            "The tool's deviation from the line, of 400 linkages of the apportioned design (aOpt).",
+            "The tool's deviation from the line, of random linkages of the apportioned design (aOpt).",
             lambda: study("four-bar", "Deviation from the line", 3),
         ),
     },

@@ -153,8 +153,9 @@ class Study(AbstractStudy):
         finally:  # what was found stands on the page, whatever ends the chapter
             page.append(*reporting.sections(designs, evidence, fronts, along))
             if designs:
-                tables = reporting.evidence_table(evidence), reporting.certificate_table(designs)
-                page.tables += [reporting.designs_table(designs, evidence), *tables]
+                page.tables += [reporting.designs_table(designs, evidence), reporting.certificate_table(designs)]
+            if evidence:
+                page.tables.append(reporting.evidence_table(evidence))
 
     def _sample_along(self, page: Draft, name: str, front: Front | TradeOff, along: list[Evidence]) -> None:
         """Evidence on the same systems at each point of a front, so that a choice shows how often it fails."""
