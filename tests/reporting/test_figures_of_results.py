@@ -99,8 +99,7 @@ def test_histories_are_those_of_random_systems_at_the_decisions():
 def test_states_costates_and_meshes_are_those_of_a_simultaneous_program():
     solution = given.collocated()
     for figure, found in (
-        (solution.plot.state("v"), solution.mesh_states),
-        (solution.plot.costate("v"), solution.costates),
+        (solution.mesh_states.plot.state("v"), solution.mesh_states),
         (solution.costates.plot.costate("v"), solution.costates),
     ):
         drawn = numbers(figure.data[-1].y).reshape(len(found.germs), -1)[:, :-1]

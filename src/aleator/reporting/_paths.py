@@ -5,13 +5,13 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, is_worst_case
-from aleator.reporting._numbers import given, share_text, unit_of_expression, unit_of_functional, unit_of_limit
+from aleator.reporting._numbers import given, share_text, unit_of, unit_of_limit
 from aleator.reporting._style import (
     ALARM,
     CLOUD,
@@ -37,9 +37,6 @@ _USUAL = 2.0
 _DRAWN, _SHOWN = 60, 350
 
 
-Drawn: TypeAlias = "dict[str, Callable[..., Figure]]"
-
-
 class Limits(NamedTuple):
     """The limits on a path: by their values, in words; the largest multiple of the standard deviation in them; their
     names; and the unit of the path.
@@ -63,7 +60,7 @@ def limits_of(problem: Problem, functional: AbstractFunctional) -> Limits:
     case.
     """
     texts: dict[float, str] = {}
-    sigmas, names, unit = 0.0, set(), unit_of_functional(functional, problem)
+    sigmas, names, unit = 0.0, set(), unit_of(functional, problem)
     for limit in problem.constraints:
         if functionals_of((limit.expression,)) != (functional,) or not _has_values_of_path(limit):
             continue
@@ -93,10 +90,9 @@ def limits_text(bounds: Sequence[float], unit: str) -> dict[float, str]:
     return {bound: f"limit {given(bound, unit)}" for bound in dict.fromkeys(bounds) if np.isfinite(bound)}
 
 
-def components(
-    name: str, mean: Float[np.ndarray, "instants ..."], std: Float[np.ndarray, "instants ..."]
-) -> dict[str, Moments]:
-    """A path by its name; of a vector over time, each component by its own."""
+def components(name: str, mean: Float[np.ndarray, "instants ..."], std: Any = 0.0) -> dict[str, Moments]:
+    """A path by its name, by default without a spread; of a vector over time, each component by its own."""
+    std = np.broadcast_to(std, mean.shape)
     if mean.ndim == 1:
         return {name: Moments(mean, std)}
     means, stds = (part.reshape(len(part), -1) for part in (mean, std))
@@ -166,7 +162,7 @@ def path_figure(
     return figure.update_layout(showlegend=True)
 
 
-def band_figure(solution: Solution, name: str, sigmas: float | None = None, title: str = "") -> "Figure":
+def band_figure(solution: Solution, name: str, title: str = "", sigmas: float | None = None) -> "Figure":
     """The mean of a path in the problem over time with its band, by default that of its limits, and these."""
     functional = paths_of(solution.problem)[name]
     limits, moments = limits_of(solution.problem, functional), solution.moments[functional.text()]
@@ -180,11 +176,10 @@ def limit_figure(solution: Solution, name: str, title: str = "") -> "Figure":
     every = zip(solution.constraints, solution.problem.constraints, strict=True)
     # Both sides of a limit, or limits on several paths, may have one name.
     named = [(one, declared.expression) for one, declared in every if one.name == name and one.times is not None]
-    times, unit = np.asarray(named[0][0].times), unit_of_expression(named[0][1], solution.problem)
+    times, unit = np.asarray(named[0][0].times), unit_of(named[0][1], solution.problem)
     parts = [(one, str(text)) for one, text in named if np.array_equal(np.asarray(one.times), times)]
-    lines = [components(text, one.values, np.zeros_like(one.values)) for one, text in parts]
+    paths = {text: line for one, of in parts for text, line in components(of, one.values).items()}
     bounds = limits_text([bound for one, _ in parts for bound in (one.lower, one.upper)], unit)
-    paths = {text: line for each in lines for text, line in each.items()}
     figure = path_figure(times, paths, y=name, unit=unit, limits=bounds, title=title)
     active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
     values = [np.reshape(one.values, where.shape)[where] for (one, _), where in zip(parts, active, strict=True)]
@@ -194,30 +189,39 @@ def limit_figure(solution: Solution, name: str, title: str = "") -> "Figure":
     return figure
 
 
-def active_over_time(solution: Solution) -> set[str]:
-    """The names of the limits over time that are active."""
-    return {one.name for one in solution.constraints if one.times is not None and np.any(one.active)}
+class OverTime(NamedTuple):
+    """One figure of a design over time: its name, its active limits, whether it has any, how to draw it."""
+
+    name: str
+    active: set[str]
+    is_limited: bool
+    draw: "Callable[..., Figure]"
 
 
-def figures_over_time(
-    solution: Solution,
-) -> "tuple[dict[str, Callable[..., Figure]], dict[str, Callable[..., Figure]]]":
-    """What draws a design over time, by name: what is limited, active limits first; and other paths in the problem.
+def over_time(solution: Solution) -> list[OverTime]:
+    """The figures of a design over time: what is limited, active limits first; then the other paths in the problem.
 
     A limit is drawn with its path where it is on one alone.
     """
-    problem, active = solution.problem, active_over_time(solution)
-    paths = paths_of(problem)
+    problem, paths = solution.problem, paths_of(solution.problem)
+    limits = dict.fromkeys(one.name for one in solution.constraints if one.times is not None)
+    active = {one.name for one in solution.constraints if one.times is not None and np.any(one.active)}
     alone = {name: limits_of(problem, path).names for name, path in paths.items()}
-    together = {one.name: {one.name} for one in solution.constraints if one.times is not None}
-    together = {name: names for name, names in together.items() if name not in set().union(*alone.values())}
+    together = [name for name in limits if name not in set().union(*alone.values())]
     seen = functionals_of(tuple(one.expression for one in problem.constraints if one.name in together))
-    every = [(names, path, band_figure) for path, names in alone.items() if names]
-    every += [(names, name, limit_figure) for name, names in together.items()]
-    every.sort(key=lambda one: not one[0] & active)
-    limited = {name: functools.partial(figure, solution, name) for _, name, figure in every}
-    others = [name for name, path in paths.items() if not alone[name] and path not in seen]
-    return limited, {name: functools.partial(band_figure, solution, name) for name in others}
+    drawn = [(path, names, band_figure) for path, names in alone.items() if names or paths[path] not in seen]
+    drawn += [(name, {name}, limit_figure) for name in together]
+    every = [
+        OverTime(name, names & active, bool(names), functools.partial(how, solution, name))
+        for name, names, how in drawn
+    ]
+    return sorted(every, key=lambda one: (not one.is_limited, not one.active))
+
+
+def held_path(solution: Solution) -> str | None:
+    """A path on which alone there is an active limit; None without one."""
+    paths = paths_of(solution.problem)
+    return next((one.name for one in over_time(solution) if one.active and one.name in paths), None)
 
 
 def motion_figure(motions: Motions, *names: str, title: str = "") -> "Figure":
@@ -278,8 +282,8 @@ def bands_figure(
 
 
 def signal_figure(times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "") -> "Figure":
-    """An input over time (figure 6.2)."""
-    figure = path_figure(times, {name: Moments(values, np.zeros_like(values))}, y=name, unit=unit)
+    """One certain history over time."""
+    figure = path_figure(times, components(name, values), y=name, unit=unit)
     return figure.update_layout(showlegend=False, height=300)
 
 

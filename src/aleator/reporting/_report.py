@@ -1,10 +1,12 @@
 """`report`: the results of any problem as one page, verdict first."""
 
+import datetime
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +27,6 @@ from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff
 from aleator.uncertainty import placements
 from aleator.validation import Evidence
-
-Result = TypeVar("Result", Solution, Evidence, Front | TradeOff, EvidenceOfAll)
 
 HOW_TO_READ = (
     (
@@ -77,51 +77,33 @@ def report(
     first = next(iter(designs))
     sampled, swept = _named(evidence, Evidence, first), _named(fronts, (Front, TradeOff), first)
     for name, one in sampled.items():
-        _check_belongs(name, one, designs)
-    sampled_along = _named(along, EvidenceOfAll)
+        if name not in designs:
+            raise ProblemError(f"report: there is evidence on '{name}', but no design of that name: {list(designs)}.")
+        if not np.array_equal(designs[name].vector, one.solution.vector):
+            raise ProblemError(f"report: the evidence on '{name}' was sampled from another design than the one shown.")
     shown = [*designs.values(), *(point for one in swept.values() for point in one.solutions)]
-    for one in sampled_along.values():
-        _check_along(one, shown)
-    checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
+    checked = [one for each in _named(along, EvidenceOfAll).values() for one in each.by_place.items()]
+    for place, one in checked:
+        if not any(evidence_on(point, [one]) for point in shown):
+            raise ProblemError(
+                f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
+                "shown: expected al.validate_all(front) of a front among `fronts`."
+            )
     check_writable(as_path(path).parent)
     page = whole_page(
         a_name("report: title", title),
-        f"{words([str(name) for name in designs])}: result and evidence",
+        f"{words(list(designs))}: result and evidence",
         proposal(designs, sampled, positive("report: target", target, below=1.0)),
-        sections(designs, sampled, swept, checked),
+        sections(designs, sampled, swept, [one for _, one in checked]),
         {"designs": designs, "evidence": sampled, "fronts": swept},
     )
     return write_page(page, path)
 
 
-def _named(
-    given: Result | Mapping[str, Result] | None, kinds: type[Result] | tuple[type[Result], ...], name: str = "design"
-) -> dict[str, Result]:
+def _named(given: Any, kinds: type | tuple[type, ...], name: str = "design") -> dict[str, Any]:
     """One or several results by name; anything else is refused."""
     every = {} if given is None else given if isinstance(given, Mapping) else {name: given}
     return {str(key): one_of(f"report: '{key}'", one, kinds) for key, one in every.items()}
-
-
-def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:
-    """Raise `ProblemError` for evidence on an unknown design, or on another than the one under its name."""
-    if name not in designs:
-        raise ProblemError(
-            f"report: there is evidence on '{name}', but no design of that name; expected one of {list(designs)}."
-        )
-    if not np.array_equal(designs[name].vector, evidence.solution.vector):
-        raise ProblemError(
-            f"report: the evidence on '{name}' was sampled from another design than the one shown: validate that one."
-        )
-
-
-def _check_along(along: EvidenceOfAll, shown: Sequence[Solution]) -> None:
-    """Raise `ProblemError` for evidence on a design that is no point of the fronts, and none of the designs, shown."""
-    for place, evidence in along.by_place.items():
-        if not any(evidence_on(one, [evidence]) is evidence for one in shown):
-            raise ProblemError(
-                f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
-                "shown: expected al.validate_all(front) of a front among `fronts`."
-            )
 
 
 def sections(
@@ -192,9 +174,6 @@ def whole_page(
     glossary: Sequence[Table] = (),
 ) -> Page:
     """A page: sections that are not empty, then where the numbers of the results come from, and how to read them."""
-    import datetime
-    from importlib.metadata import version
-
     import aleator
 
     last = [replace(provenance(results), folded=True), Section("How to read this", [Text(HOW_TO_READ), *glossary])]
@@ -207,9 +186,9 @@ def whole_page(
 
 
 def _counted(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
-    for name, one in evidence.items():
-        if not one.agrees:
-            yield Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
+    """What was counted on each design, and sampled of it."""
+    alarms = {name: one.alarm() for name, one in evidence.items() if not one.agrees}
+    yield from (Text([alarm], lead=f"{name}: samples and solution disagree.") for name, alarm in alarms.items())
     for name, one in evidence.items():
         if one.compared:
             sentences = [each.sentence() for each in one.compared]

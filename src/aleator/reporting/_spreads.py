@@ -1,8 +1,7 @@
-"""Figures of spreads: densities against limits, percentiles, shares, boxes of mean ± sigma, bars, error and effort."""
+"""Figures of spreads: densities against limits, percentiles, shares, bars."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +10,6 @@ from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import count, given, number, share_text
 from aleator.reporting._style import (
     ALARM,
-    DASHES,
     INK,
     MUTED,
     SIZE,
@@ -155,56 +153,3 @@ def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str 
         figure.add_bar(x=[plain(one) for one in shown], y=[*shown.values()], name=plain(name), **written)
     figure.update_layout(barmode="group", bargap=0.35)
     return figure.update_yaxes(rangemode="tozero", linecolor=MUTED)
-
-
-@final
-@dataclass(frozen=True)
-class Axis:
-    """One requirement: its name and unit, and its limits by their labels."""
-
-    name: str
-    unit: str = ""
-    limits: Mapping[str, float] = field(default_factory=dict)
-
-
-@final
-@dataclass(frozen=True)
-class Box:
-    """A design among requirements: the centre and the half-widths of its box, by the requirement's key.
-
-    `design` determines its look and its legend entry; `dash` its line style.
-    """
-
-    design: str
-    centre: Mapping[str, float]
-    half: Mapping[str, float]
-    dash: str = "solid"
-    note: str = ""
-
-
-def projection_figure(
-    boxes: Sequence[Box], across: str, up: str, axes: Mapping[str, Axis], *, height: int = 420
-) -> "Figure":
-    """Designs projected on the plane of two requirements (figures 6.6, 6.7 and 7.2)."""
-    keys, styles = (across, up), looks(dict.fromkeys(box.design for box in boxes))
-    figure = blank(*(label(axes[key].name, axes[key].unit) for key in keys), height=height)
-    for i, box in enumerate(boxes):
-        (x, y), (dx, dy) = ([part[key] for key in keys] for part in (box.centre, box.half))
-        look, group, spread = styles[box.design], plain(box.design), [box.note]
-        if dx > 0 or dy > 0:
-            corners = {"x0": x - dx, "x1": x + dx, "y0": y - dy, "y1": y + dy}
-            line = {"color": look.colour, "width": 1.8, "dash": box.dash}
-            filled = {"fillcolor": look.fill(0.07), "line": line, "layer": "below"}
-            figure.add_shape(type="rect", legendgroup=group, **corners, **filled)
-            spread += [f"{axes[key].name} ± {number(box.half[key], 3, axes[key].unit)}" for key in keys]
-        first = box.design not in [other.design for other in boxes[:i]]
-        marks = {"marker_size": 11, "marker_line_color": "white", "marker_line_width": 1, "mode": "markers"}
-        named = {"name": box.design, "legendgroup": group, "showlegend": first}
-        draw(figure, [x], [y], look, hover="<br>".join(map(plain, filter(None, spread))), **named, **marks)
-    for key, axis in ((across, "x"), (up, "y")):
-        limits = axes[key].limits
-        for i, (text, value) in enumerate(limits.items()):
-            limit_line(figure, value, text, axis=axis, dash=DASHES[i % len(DASHES)] if len(limits) > 1 else "dash")
-        ends = [box.centre[key] + side * box.half[key] for box in boxes for side in (-1, 1)]
-        figure.update_layout({f"{axis}axis_range": padded([*ends, *limits.values()])})
-    return figure

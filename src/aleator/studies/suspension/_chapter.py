@@ -13,6 +13,7 @@ from aleator.studies._shared import add_second_way, gathered, margin_drawing, sa
 from aleator.studies._study import Draft
 from aleator.studies.suspension import _views as views
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
+from aleator.studies.suspension._figures import shaded
 from aleator.studies.suspension._views import HOLDING, NARROW, RIDE, RIDE_UNIT, TRAVEL, cost
 
 TARGET = 0.01
@@ -163,7 +164,9 @@ def chapter(page: Draft, quick: bool) -> None:
         "enough: the load mₛ and the tyre kᵤ keep their spreads."
     )
     line = {f"ride limit of aOpt, {RIDE:g}": RIDE}
-    page.add(front(over_travel, heading, told, "7.4", **over_r, **ride, limits=line, infeasible=costs))
+    linked = front(over_travel, heading, told, "7.4", **over_r, **ride, limits=line)
+    shaded(linked.figures[0], "aOpt", costs["aOpt"])
+    page.add(linked)
     if costs["aOpt"].solved.any():
         page.add(views.apportioned(costs["aOpt"]))
 

@@ -8,9 +8,10 @@ import numpy as np
 import aleator as al
 from aleator import reporting
 from aleator.design import value_at
-from aleator.reporting import Axis, Box, Drawing, Table, given, number, percent, share_text, unit_of_decision, words
+from aleator.reporting import Drawing, Table, given, number, percent, share_text, unit_of_decision, words
 from aleator.studies._shared import requirements_active
 from aleator.studies.suspension import COST
+from aleator.studies.suspension._figures import Axis, Box, decision_path_figure, projection_figure, relative_figure
 
 TRAVEL, HOLDING, RIDE, NARROW = 0.203, 0.034, 220.0, 0.152
 SPREADS = {"k_s.half_width": "spring kₛ", "b_s.half_width": "damper bₛ", "eta.half_width": "damping ratio η"}
@@ -154,7 +155,7 @@ def projections(designs: Mapping[str, al.Solution], heading: str, place: str, ca
     boxes = [box(one, name) for name, one in designs.items()]
     axes = AXES if "aOpt" in designs else AXES | {"ride": Axis("Ride", RIDE_UNIT)}
     planes = (("holding", "travel"), ("holding", "ride"), ("travel", "ride"))
-    return Drawing([reporting.projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
+    return Drawing([projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
 
 
 def shadow_price(fronts: Mapping[str, al.results.Front], what: str, scale: float, unit: str, **axis: str) -> Drawing:
@@ -177,7 +178,7 @@ def holding_boxes(fronts: Mapping[str, al.results.Front]) -> Drawing:
                 boxes.append(box(one, name, dash, f"H = {bound:g} m"))
     axes = AXES | {"holding": Axis("Holding", "m", limits)}
     return Drawing(
-        [reporting.projection_figure(boxes, "holding", "travel", axes, height=520)],
+        [projection_figure(boxes, "holding", "travel", axes, height=520)],
         "From an active holding limit to an active travel limit",
         "Each box has the line style of its holding limit. As H grows, uOpt's box rises until it meets the travel "
         "limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
@@ -189,16 +190,7 @@ def decision_path(fronts: Mapping[str, al.results.Front]) -> Drawing:
     """Spring and damper along fronts."""
     problem = fronts["dOpt"].points[0].problem
     lowest = float(problem.placements.decisions["k_s.mean"].decision.lower)
-    figure = reporting.decision_path_figure(
-        fronts,
-        "b_s.mean",
-        "k_s.mean",
-        x="Damper, mean bₛ (N s/m)",
-        y="Spring, mean kₛ (N/m)",
-        bound_unit="m",
-        lower=lowest,
-        lower_text=f"lower bound of kₛ, {number(lowest)} N/m",
-    )
+    figure = decision_path_figure(fronts, lowest)
     caption = (
         "Along figure 6.5 mainly the damper changes; the spring leaves its lower bound only at the tightest holding "
         "limits. Labels: the tightest limit that each design reaches."
@@ -211,10 +203,9 @@ def apportioned(front: al.results.Front) -> Drawing:
     problem = front.solutions[0].problem
     initial = {name: given(start(problem, name), unit_of_decision(name, problem)) for name in SPREADS}
     names = {name: f"{text} (initially ±{initial[name]})" for name, text in SPREADS.items()}
-    axes = {"x": "Travel limit R", "x_unit": "m", "y": "Half-width (% of its initial value)"}
     caption = (
         "The spreads that each travel limit allows, relative to the initial ones: above 100 % they are cheaper, "
         "below more expensive. Bounds of the search: 5 % and 400 %."
     )
-    figure = reporting.relative_figure(front, names, **axes)
+    figure = relative_figure(front, names, "Travel limit R (m)", "Half-width (% of its initial value)")
     return Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")
