@@ -19,7 +19,7 @@ from aleator.reporting._fronts import (
     trade_off_table,
 )
 from aleator.reporting._page import Choice, Linked, Table
-from aleator.reporting._paths import over_time
+from aleator.reporting._solutions import over_time
 from aleator.solution import Solution
 from aleator.sweep import SAME, Front, Refused, TradeOff
 from aleator.validation import Evidence
@@ -62,7 +62,7 @@ def choice(
     certificate = facts("Certificate", "Status", "Certificate", note="" if point.ok else point.why())
     # That there is no design comes first.
     every = [*tables, certificate] if point.ok else [certificate, *tables]
-    figures = [one.draw().update_layout(height=300, meta=one.name) for one in over_time(point)]
+    figures = [one.draw(point, one.name).update_layout(height=300, meta=one.name) for one in over_time(point)]
     return Choice(name, [one for one in every if one.rows or one.note], figures)
 
 

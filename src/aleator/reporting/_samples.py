@@ -11,11 +11,11 @@ from aleator._core.border import positive
 from aleator._core.errors import ProblemError
 from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, ToleranceAnalysis
 from aleator.design import AbstractFunctional, functionals_of
-from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of
+from aleator.reporting._numbers import count, given, number, percent, share_text
 from aleator.reporting._page import Table
-from aleator.reporting._paths import cloud, components, limits_of, path_figure, paths_of, trajectory_figure
+from aleator.reporting._paths import add_cloud, add_means, components, limits_of, paths_of, timeline, trajectory_figure
 from aleator.reporting._showing import Facts, chosen, facts_of, figure
-from aleator.reporting._spreads import bars_figure, density_figure, percentile_figure, shares_figure
+from aleator.reporting._spreads import bars_figure, density_figure, shares_figure
 from aleator.reporting._style import plain
 from aleator.reporting._tables import evidence_table, violations_table
 from aleator.sweep import EvidenceOfAll
@@ -68,17 +68,13 @@ def sampled_band(evidence: Evidence, output: str | None = None, *, sigmas: float
     nothing = "expected a path in the problem, such as al.path('x'); received one without."
     name, functional = chosen("plot.band", output, paths_of(problem), nothing)
     sampled, limits = evidence.functionals[functional.text()], limits_of(problem, functional)
-    histories = [one.values for one in evidence.trajectories if one.name in limits.names]
-    return path_figure(
-        evidence.solution.times_of(functional),
-        components(f"sampled mean of {name}", sampled.mean, sampled.std)
-        | components(f"mean of {name} by the expansion", sampled.expanded_mean),
-        sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
-        y=name,
-        unit=limits.unit,
-        limits=limits.texts,
-        histories=cloud(histories[0]) if histories else {},
-    )
+    times, drawn = evidence.solution.times_of(functional), timeline(name, limits.unit, limits.texts)
+    kept = [one.values for one in evidence.trajectories if one.name in limits.names]
+    if kept:
+        add_cloud(drawn, times, kept[0])
+    means = components(f"sampled mean of {name}", sampled.mean, sampled.std)
+    means |= components(f"mean of {name} by the expansion", sampled.expanded_mean)
+    return add_means(drawn, times, means, limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas))
 
 
 @figure(Evidence, "density")
@@ -95,14 +91,6 @@ def sampled_density(evidence: Evidence, functional: str | None = None) -> "Figur
     lines.append(f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(evidence.samples)} systems")
     shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": "<br>".join(lines)}
     return density_figure(edges, {"sampled": heights}, x=name, **shown)
-
-
-@figure(Evidence)
-def percentiles(evidence: Evidence, functional: str | None = None) -> "Figure":
-    """The sampled spread of a functional: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems, median and mean."""
-    declared = _number(evidence, "plot.percentiles", functional)
-    unit, name = unit_of(declared, evidence.solution.problem), declared.text()
-    return percentile_figure({"design": evidence.functionals[name]}, x=name, unit=unit)
 
 
 @figure(Evidence)

@@ -1,7 +1,7 @@
 """Figures and facts of solutions: what they decide, over time and between bounds, and how they came about."""
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -9,24 +9,21 @@ import numpy as np
 from aleator._core.arrays import jax_array
 from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
-from aleator.design import history
+from aleator.design import functionals_of, history
 from aleator.nlp import Searched
 from aleator.reporting._documents import rows_of, solution_document, status_words
-from aleator.reporting._numbers import count, given, number, residual, unit_of, unit_of_decision, units_of_outputs
+from aleator.reporting._numbers import given, number, residual, unit_of, unit_of_decision, units_of_outputs
 from aleator.reporting._page import Drawing
 from aleator.reporting._paths import (
-    band_figure,
+    add_means,
     components,
-    held_path,
     histories_figure,
-    limit_figure,
     limits_of,
-    motion_figure,
-    over_time,
-    path_figure,
+    limits_text,
     paths_of,
+    timeline,
 )
-from aleator.reporting._showing import Facts, chosen, facts_of, figure, unknown
+from aleator.reporting._showing import Facts, chosen, facts_of, figure
 from aleator.reporting._style import (
     ALARM,
     LIMIT,
@@ -66,10 +63,43 @@ def design_figure(solution: Solution) -> "Figure":
 
     At most six limits over time are drawn; without any, the first path in the problem.
     """
-    every, warning = over_time(solution), _warning(solution)
+    every = over_time(solution)
     paths = [one for one in every if one.is_limited][:_LIMITS] or every[:1]
-    parts = [*_decided_inputs(solution), *(one.draw(title=warning) for one in paths)]
+    parts = [*_decided_inputs(solution), *(one.draw(solution, one.name) for one in paths)]
     return stacked([*parts, decisions(solution)] if _between_bounds(solution) or not parts else parts)
+
+
+class OverTime(NamedTuple):
+    """One figure of a design over time: its name, its active limits, whether it has any, how to draw it."""
+
+    name: str
+    active: set[str]
+    is_limited: bool
+    draw: "Callable[[Solution, str], Figure]"
+
+
+def over_time(solution: Solution) -> list[OverTime]:
+    """The figures of a design over time: what is limited, active limits first; then the other paths in the problem.
+
+    A limit is drawn with its path where it is on one alone.
+    """
+    problem, paths = solution.problem, paths_of(solution.problem)
+    limits = dict.fromkeys(one.name for one in solution.constraints if one.times is not None)
+    active = {one.name for one in solution.constraints if one.times is not None and np.any(one.active)}
+    alone = {name: limits_of(problem, path).names for name, path in paths.items()}
+    together = [name for name in limits if name not in set().union(*alone.values())]
+    seen = functionals_of(tuple(one.expression for one in problem.constraints if one.name in together))
+    drawn = [(path, names, band) for path, names in alone.items() if names or paths[path] not in seen]
+    drawn += [(name, {name}, limit) for name in together]
+    every = [OverTime(name, names & active, bool(names), how) for name, names, how in drawn]
+    return sorted(every, key=lambda one: (not one.is_limited, not one.active))
+
+
+def _held_path(solution: Solution) -> str | None:
+    """A path on which alone there is an active limit, or else the first path; None without one."""
+    paths = paths_of(solution.problem)
+    held = (one.name for one in over_time(solution) if one.active and one.name in paths)
+    return next(held, next(iter(paths), None))
 
 
 @figure(Solution)
@@ -79,12 +109,37 @@ def band(solution: Solution, output: str | None = None, *, sigmas: float | None 
     - `output`: of a path in the problem, by default one with an active limit, else the first; `sigmas`: by default
       as in its limits, else 2.
     """
-    known = paths_of(solution.problem)
-    if known and output is not None and output not in known:
-        raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
-    name, _ = chosen("plot.band", held_path(solution) if output is None else output, known, _NO_PATH)
-    sigmas = None if sigmas is None else positive("plot.band: sigmas", sigmas)
-    return band_figure(solution, name, _warning(solution), sigmas)
+    paths = paths_of(solution.problem)
+    name, functional = chosen("plot.band", output or _held_path(solution), paths, _NO_PATH)
+    limits, moments = limits_of(solution.problem, functional), solution.moments[functional.text()]
+    drawn = timeline(name, limits.unit, limits.texts, _warning(solution))
+    sigmas = limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas)
+    means = components(f"mean of {name}", moments.mean, moments.std)
+    return add_means(drawn, solution.times_of(functional), means, sigmas)
+
+
+@figure(Solution)
+def limit(solution: Solution, name: str | None = None) -> "Figure":
+    """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one that is
+    active, else the first.
+    """
+    limits = {one.name: bool(np.any(one.active)) for one in solution.constraints if one.times is not None}
+    usual = next((one for one, is_active in limits.items() if is_active), None)
+    name, _ = chosen("plot.limit", name or usual, limits, "expected a limit over time; received none.")
+    every = zip(solution.constraints, solution.problem.constraints, strict=True)
+    # Both sides of a limit, or limits on several paths, may have one name.
+    named = [(one, declared.expression) for one, declared in every if one.name == name and one.times is not None]
+    times, unit = np.asarray(named[0][0].times), unit_of(named[0][1], solution.problem)
+    parts = [(one, str(text)) for one, text in named if np.array_equal(np.asarray(one.times), times)]
+    bounds = limits_text([bound for one, _ in parts for bound in (one.lower, one.upper)], unit)
+    drawn = timeline(name, unit, bounds, _warning(solution))
+    add_means(drawn, times, {text: line for one, of in parts for text, line in components(of, one.values).items()})
+    active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
+    values = [np.reshape(one.values, where.shape)[where] for (one, _), where in zip(parts, active, strict=True)]
+    places = [np.repeat(times, where.sum(axis=1)) for where in active]
+    marks = {"name": "active", "mode": "markers", "marker_size": 8}
+    draw(drawn, np.concatenate(places), np.concatenate(values), ALARM, **marks)
+    return drawn
 
 
 @figure(Solution)
@@ -98,7 +153,7 @@ def histories(solution: Solution, output: str | None = None, *, samples: int = 5
     """
     problem, paths = solution.problem, paths_of(solution.problem)
     samples, seed = whole("plot.histories: samples", samples), whole("plot.histories: seed", seed, least=0)
-    usual = paths.get(held_path(solution) or next(iter(paths), ""))
+    usual = paths.get(_held_path(solution) or "")
     output = usual.output if output is None and usual is not None else output
     nothing = "expected a system with outputs; received one without."
     name, kind = chosen("plot.histories", output, _over_time(solution), nothing)
@@ -110,18 +165,6 @@ def histories(solution: Solution, output: str | None = None, *, samples: int = 5
         shown["limits"] = limits_of(problem, limited).texts
     unit = units_of_outputs(problem).get(name, "")
     return histories_figure(np.asarray(motions.times_of(name)), motions.systems[name], y=name, unit=unit, **shown)
-
-
-@figure(Solution)
-def limit(solution: Solution, name: str | None = None) -> "Figure":
-    """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one that is
-    active, else the first.
-    """
-    limits = {one.name: bool(np.any(one.active)) for one in solution.constraints if one.times is not None}
-    usual = next((one for one, is_active in limits.items() if is_active), None)
-    nothing = "expected a limit over time; received a problem without one."
-    name, _ = chosen("plot.limit", usual if name is None else name, limits, nothing)
-    return limit_figure(solution, name, _warning(solution))
 
 
 @figure(Solution)
@@ -159,7 +202,16 @@ def input_figure(solution: Solution, name: str | None = None) -> "Figure":
     """An input over time, with the band of two standard deviations about its mean; by default the first."""
     inputs = dict.fromkeys(solution.problem.inputs, "")
     name, _ = chosen("plot.input", name, inputs, "expected a problem with inputs; received one without.")
-    return motion_figure(solution.inputs, name, title=_warning(solution))
+    return _inputs_figure(solution, [name])
+
+
+def _inputs_figure(solution: Solution, names: Sequence[str]) -> "Figure":
+    """Inputs of one unit in one figure."""
+    moments, motions = solution.inputs.moments, solution.inputs
+    paths = [components(name, moments[name].mean, moments[name].std) for name in names]
+    drawn = timeline(", ".join(names), motions.units.get(names[0], ""), title=_warning(solution))
+    means = {part: one for each in paths for part, one in each.items()}
+    return add_means(drawn, np.asarray(motions.times_of(names[0])), means)
 
 
 @figure(Solution)
@@ -197,7 +249,7 @@ def _decided_inputs(solution: Solution) -> "list[Figure]":
     for name in names:
         unit, times = motions.units.get(name) or name, np.asarray(motions.times_of(name))
         alike.setdefault((unit, times.tobytes()), []).append(name)
-    return [motion_figure(motions, *each, title=_warning(solution)) for each in alike.values()]
+    return [_inputs_figure(solution, each) for each in alike.values()]
 
 
 def _between_bounds(solution: Solution) -> dict[str, AbstractDecision]:
@@ -238,51 +290,40 @@ def costate(costates: Costates, name: str | None = None) -> "Figure":
 def switching_figure(switching: Switching, name: str | None = None) -> "Figure":
     """The switching function of an input over time, with its zero; by default of the first."""
     name, values = chosen("plot.input", name, switching.values, "expected inputs that are certain; received none.")
-    limits, path = {0.0: "an input inside its bounds makes it zero"}, components(name, values)
-    return path_figure(switching.times_of(name), path, y=f"Switching function of {name}", limits=limits)
+    drawn = timeline(f"Switching function of {name}", limits={0.0: "an input inside its bounds makes it zero"})
+    return add_means(drawn, switching.times_of(name), components(name, values))
 
-
-# From the first mesh to the last: shades of one hue, so that their order is seen without telling colours apart.
-_FIRST, _LAST = np.array((163, 196, 220)), np.array((0, 76, 120))
 
 _NODES = (
     "How far states drift from their equations within each interval, relative to their magnitudes, in the realisation "
-    "that is worst there; the marks are the nodes of the mesh."
+    "that is worst there; the marks are the nodes of the mesh. Intervals above the dashed line were divided, or their "
+    "order was raised."
 )
-_REFINED = " The last mesh is the darkest. Intervals above the dashed line were divided, or their order was raised."
 
 
 def mesh_drawing(meshes: Sequence[MeshError], name: str) -> Drawing:
     """The meshes of the design called `name`, for a page."""
-    caption = _NODES + _REFINED * (len(meshes) > 1)
-    return Drawing([mesh_figure(meshes)], f"Meshes of {name}", caption)
+    return Drawing([mesh_figure(meshes)], f"Meshes of {name}", _NODES)
 
 
 @figure(MeshError, "mesh")
-def _(mesh: MeshError) -> "Figure":
-    """The nodes of the mesh, and the error of each interval."""
-    return mesh_figure([mesh])
-
-
-def mesh_figure(meshes: Sequence[MeshError]) -> "Figure":
-    """The history of the meshes of a solution: the error of each interval as a step, with marks at the nodes."""
-    drawn, last = blank(label("Time", "s"), "Drift of the states").update_yaxes(type="log"), meshes[-1]
-    for i, one in enumerate(meshes):
-        way = (i + 1) / len(meshes)
-        shade = np.rint((1 - way) * _FIRST + way * _LAST).astype(int).tolist()
-        colour, judged = f"rgb({','.join(map(str, shade))})", one is last and np.isfinite(one.asked)
-        verdict = "" if not judged else ", as asked" if one.is_met else ", more than asked"
-        scheme = "" if i and one.scheme == meshes[i - 1].scheme else f" of {one.scheme}"
-        name = f"Mesh {i + 1}: {count(one.intervals)} intervals{scheme}, {residual(one.worst)}{verdict}"
+def mesh_figure(meshes: Sequence[MeshError] | MeshError) -> "Figure":
+    """One mesh, or the meshes of a solution in their order: the error of each interval as a step, with marks at the
+    nodes.
+    """
+    every = [meshes] if isinstance(meshes, MeshError) else list(meshes)
+    drawn, asked = timeline("Drift of the states").update_yaxes(type="log"), every[-1].asked
+    names = [
+        f"Mesh {i}: {one.intervals} intervals of {one.scheme}, {residual(one.worst)}" for i, one in enumerate(every, 1)
+    ]
+    for one, (name, look) in zip(every, looks(names).items(), strict=True):
         # An error of zero has no place on a logarithmic axis.
-        errors = np.where(one.errors > 0, one.errors, np.nan)
-        steps = {"line_shape": "hv", "line_width": 2.0 if one is last else 1.3}
-        marks = {"marker_size": 7, "marker_line_width": 1, "marker_line_color": colour}
-        heights = short(np.append(errors, errors[-1]))
-        draw(drawn, short(one.nodes), heights, Look(colour, "line-ns"), name=name, **steps, **marks)
-    if np.isfinite(last.asked):
-        limit_line(drawn, last.asked, f"{residual(last.asked)} asked")
-    return drawn.update_layout(showlegend=True)
+        errors = short(np.where(one.errors > 0, one.errors, np.nan))
+        marks = {"marker_size": 7, "marker_line_width": 1, "marker_line_color": look.colour, "line_shape": "hv"}
+        draw(drawn, short(one.nodes), np.append(errors, errors[-1]), Look(look.colour, "line-ns"), name=name, **marks)
+    if np.isfinite(asked):
+        limit_line(drawn, asked, f"{residual(asked)} asked")
+    return drawn
 
 
 # --- What was searched -----------------------------------------------------------------------------------------------
