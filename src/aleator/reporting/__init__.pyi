@@ -7,10 +7,6 @@ from ._datasets import dataset as dataset
 from ._datasets import is_group as is_group
 from ._datasets import savable as savable
 from ._datasets import tree as tree
-from ._documents import design_digest as design_digest
-from ._documents import evidence_document as evidence_document
-from ._documents import rows_of as rows_of
-from ._documents import solution_document as solution_document
 from ._files import as_path as as_path
 from ._files import check_writable as check_writable
 from ._files import has_writer as has_writer
@@ -24,9 +20,6 @@ from ._fronts import front_table as front_table
 from ._fronts import in_order as in_order
 from ._fronts import pair_figure as pair_figure
 from ._fronts import shadow_price_figure as shadow_price_figure
-from ._linked import front_blocks as front_blocks
-from ._linked import linked_front as linked_front
-from ._linked import trade_off_blocks as trade_off_blocks
 from ._motion import Scene as Scene
 from ._motion import linkage_animation as linkage_animation
 from ._motion import plane_figure as plane_figure
@@ -58,8 +51,11 @@ from ._paths import histories_figure as histories_figure
 from ._paths import signal_figure as signal_figure
 from ._paths import trajectory_figure as trajectory_figure
 from ._report import evidence_sections as evidence_sections
+from ._report import front_blocks as front_blocks
+from ._report import linked_front as linked_front
 from ._report import report as report
 from ._report import sections as sections
+from ._report import trade_off_blocks as trade_off_blocks
 from ._report import trade_offs_section as trade_offs_section
 from ._report import whole_page as whole_page
 from ._solutions import mesh_drawing as mesh_drawing
@@ -88,8 +84,12 @@ from ._style import looks as looks
 from ._style import padded as padded
 from ._style import plain as plain
 from ._tables import certificate_table as certificate_table
+from ._tables import design_digest as design_digest
 from ._tables import designs_table as designs_table
 from ._tables import documents_table as documents_table
+from ._tables import evidence_document as evidence_document
 from ._tables import evidence_table as evidence_table
+from ._tables import rows_of as rows_of
 from ._tables import side_by_side as side_by_side
+from ._tables import solution_document as solution_document
 from ._tables import violations_table as violations_table

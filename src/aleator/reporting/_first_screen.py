@@ -9,9 +9,9 @@ from aleator._core.border import meant
 from aleator._core.errors import ProblemError
 from aleator.design import value, value_at
 from aleator.nlp import Status
-from aleator.reporting._documents import objective_text
 from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_decision, words
 from aleator.reporting._page import Verdict
+from aleator.reporting._tables import objective_text
 from aleator.solution import Solution
 from aleator.uncertainty import fields_of
 from aleator.validation import Evidence, Share
@@ -173,10 +173,11 @@ def _broken(evidence: Evidence | None, share: Share | None, target: float, who: 
 
 def _rougher(design: Solution, nominal: Solution, objective: str, change: tuple[str, str]) -> str:
     """What the design costs beside the nominal one: `Ride is 3.9 % rougher.`"""
-    relative = design.objective / nominal.objective - 1
-    if abs(relative) < 5e-4:
+    more, size = design.objective - nominal.objective, abs(nominal.objective)
+    if abs(more) <= 5e-4 * size:
         return f"{objective.capitalize()} is the same."
-    return f"{objective.capitalize()} is {number(100 * abs(relative), 2)}\u202f% {change[relative < 0]}."
+    relative = f"{number(100 * abs(more) / size, 2)}\u202f% " if size else ""
+    return f"{objective.capitalize()} is {relative}{change[more < 0]}."
 
 
 def _open(design: Solution, evidence: Evidence | None) -> Iterator[str]:

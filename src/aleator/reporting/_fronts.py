@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator.design import Problem
-from aleator.reporting._documents import objective_text, status_words
 from aleator.reporting._numbers import (
     NOTHING,
     given,
@@ -39,6 +38,7 @@ from aleator.reporting._style import (
     looks,
     plain,
 )
+from aleator.reporting._tables import objective_text, status_words
 from aleator.solution import Solution
 from aleator.sweep import Front, Refused, TradeOff
 from aleator.validation import Evidence

@@ -11,7 +11,6 @@ from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
 from aleator.design import functionals_of, history
 from aleator.nlp import Searched
-from aleator.reporting._documents import rows_of, solution_document, status_words
 from aleator.reporting._numbers import given, number, residual, unit_of, unit_of_decision, units_of_outputs
 from aleator.reporting._page import Drawing
 from aleator.reporting._paths import (
@@ -40,7 +39,7 @@ from aleator.reporting._style import (
     short,
     stacked,
 )
-from aleator.reporting._tables import designed, side_by_side
+from aleator.reporting._tables import designed, rows_of, side_by_side, solution_document, status_words
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.solving import simulate_systems
 from aleator.uncertainty import AbstractDecision, placements

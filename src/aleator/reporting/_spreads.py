@@ -10,7 +10,6 @@ from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import count, given, number, share_text
 from aleator.reporting._style import (
     ALARM,
-    INK,
     MUTED,
     SIZE,
     Look,
@@ -28,33 +27,21 @@ from aleator.validation import Sampled, Share
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-# Between which percentiles each bar reaches, by their places among those sampled, and its width in pixels.
-_BARS = ((0, 6, 2, "1 to 99 %"), (1, 5, 7, "5 to 95 %"), (2, 4, 16, "25 to 75 %"))
-
 
 def percentile_figure(
     sampled: Mapping[str, Sampled], *, x: str, unit: str = "", limit: float | None = None
 ) -> "Figure":
-    """The sampled spread of one quantity for several designs: 1-99 %, 5-95 %, 25-75 %, the median and the mean."""
+    """The sampled spread of one quantity for several designs: 5 to 95 %, 25 to 75 %, the median and the mean."""
     figure = blank(label(x, unit), "", height=120 + 64 * len(sampled))
-    for row, (name, one) in enumerate(sampled.items()):
-        levels, place = one.percentiles, plain(name)
-        if levels is None:
-            continue
-        for low, high, width, text in _BARS:
-            bar = {"mode": "lines", "line_width": width, "opacity": 0.55, "showlegend": False}
-            named = {"name": f"{name}, {text}", "hover": f"{number(levels[low])} to {number(levels[high])}"}
-            draw(figure, [levels[low], levels[high]], [place] * 2, looks(sampled)[name], **named, **bar)
-        for text, value, symbol, size in (("median", levels[3], "line-ns", 16), ("mean", one.mean, "circle", 8)):
-            mark = {"marker_size": size, "marker_line_width": 2, "marker_line_color": INK, "showlegend": row == 0}
-            named = {"name": text, "legendgroup": text, "mode": "markers", "hover": place}
-            draw(figure, [float(value)], [place], Look(INK, symbol), **named, **mark)
+    for name, look in looks(sampled).items():
+        if (levels := sampled[name].percentiles) is not None:
+            known = zip(("lowerfence", "q1", "median", "q3", "upperfence"), levels[1:6], strict=True)
+            colours = {"line_color": look.colour, "fillcolor": look.fill(0.3), "showlegend": False}
+            box = {end: [float(level)] for end, level in known} | {"mean": [float(sampled[name].mean)]} | colours
+            figure.add_box(y=[plain(name)], name=plain(name), orientation="h", width=0.4, **box)
     if limit is not None:
-        limit_line(figure, limit, f" limit {given(limit, unit)}", axis="x", upright=True)
-    known = [level for one in sampled.values() if one.percentiles is not None for level in one.percentiles]
-    figure.update_xaxes(range=padded([*known, *([] if limit is None else [limit])]))
-    lowest = len(sampled) - (0.5 if limit is None else 0.2)
-    return figure.update_yaxes(type="category", range=[lowest, -0.5], showgrid=False)
+        limit_line(figure, limit, f"limit {given(limit, unit)}", axis="x")
+    return figure.update_yaxes(type="category", autorange="reversed", showgrid=False)
 
 
 def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from aleator.reporting._datasets import by_place, leaves, savable, tree
-from aleator.reporting._documents import design_digest, digest, solution_document
 from aleator.reporting._files import write_together
 from aleator.reporting._numbers import NOTHING, count, number
 from aleator.reporting._page import Block, Section, Table
+from aleator.reporting._tables import design_digest, digest, solution_document
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.reporting._documents import objective_text
 from aleator.reporting._numbers import given, number, percent, share_text, unit_of
 from aleator.reporting._page import Table
 from aleator.reporting._showing import Facts, facts_of, figure
 from aleator.reporting._solutions import search_figure
 from aleator.reporting._spreads import bars_figure, calibration_figure
 from aleator.reporting._style import blank, draw, limit_line, looks, plain
+from aleator.reporting._tables import objective_text
 from aleator.solution import Solution
 from aleator.sweep import Calibration, CrossChecked, Hardened, Portfolio, Starts
 

@@ -178,7 +178,7 @@ def chapter(page: Draft, quick: bool) -> None:
     ):
         counted = {name: one.functionals[text] for name, one in evidence.items()}
         figure = reporting.percentile_figure(counted, x=name, unit=unit, limit=limit)
-        told = "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the cars. The ride limit binds aOpt only."
+        told = "Whiskers: 5 to 95 % of the cars; boxes: 25 to 75 %, with the median; dashed: the mean. The ride limit binds aOpt only."
         page.add(Drawing([figure], f"{name} over random cars", told))
     page.add(reporting.evidence_table({f"{name} (±{NARROW:g} m)": one for name, one in narrow_evidence.items()}))
     if counted := {f"{name} to build": one.evidence for name, one in built.items() if one.evidence}:

@@ -96,7 +96,7 @@ def decision_path_figure(fronts: Mapping[str, al.results.Front], lowest: float) 
         over = {"customdata": bounds, "hover": f"{plain(front.bound)} limit: %{{customdata}}", "cliponaxis": False}
         draw(figure, xs, ys, look, name=name, mode="lines+markers+text", **over, **marks, **written)
         reached += ys
-    limit_line(figure, lowest, f"lower bound of kₛ, {number(lowest)} N/m", dash="dot", under=True)
+    limit_line(figure, lowest, f"lower bound of kₛ, {number(lowest)} N/m", dash="dot")
     return figure.update_yaxes(range=padded(reached, 0.12), tickformat=",d")
 
 
