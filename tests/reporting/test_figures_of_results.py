@@ -11,6 +11,7 @@ import scipy
 import shown_results as shown
 
 import aleator as al
+from aleator.reporting import mesh_figure
 from aleator.reporting._paths import limits_of
 
 
@@ -104,7 +105,7 @@ def test_states_costates_and_meshes_are_those_of_a_simultaneous_program():
     ):
         drawn = numbers(figure.data[-1].y).reshape(len(found.germs), -1)[:, :-1]
         np.testing.assert_allclose(drawn, found["v"], rtol=1e-5, atol=1e-6)
-    assert len(solution.plot.mesh().data) > len(solution.mesh.plot.mesh().data) > 0
+    assert len(mesh_figure(solution.meshes).data) > len(solution.mesh.plot.mesh().data) > 0
 
 
 def test_evidence_shows_sampled_moments_beside_expanded_ones_and_the_histories():

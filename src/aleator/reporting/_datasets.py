@@ -156,7 +156,9 @@ def _histories(solution: Solution) -> Arrays:
     kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
     arrays: Arrays = {}
     for kind, histories in kinds.items():
-        for name, values in {} if histories is None else histories.values.items():
+        if histories is None:
+            continue
+        for name, values in histories.values.items():
             of = f" of {phase_of(name)}" if histories.phases else ""
             along = f"point of {kind}s{of}"
             arrays[f"times of {kind}s{of}"] = _array(along, histories.times_of(name), f"instants of {kind}s{of}", "s")

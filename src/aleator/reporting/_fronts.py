@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
 from aleator.design import Problem
 from aleator.reporting._numbers import (
     NOTHING,
@@ -182,37 +181,28 @@ def _add_infeasible(drawn: "Figure", name: str, front: Front, look: Look, height
 @figure(Front)
 def curve(front: Front) -> "Figure":
     """The optimum against the bound: filled where it is active; crosses where there is no design."""
-    return front_figure({"design": _solved(front, "plot.curve")})
+    return front_figure({"design": front})
 
 
 @figure(Front)
 def shadow_prices(front: Front) -> "Figure":
     """By what the optimum falls for each unit by which the bound is relaxed."""
-    return shadow_price_figure({"design": _solved(front, "plot.shadow_prices")})
+    return shadow_price_figure({"design": front})
 
 
 @figure(Front)
 def decision(front: Front, name: str | None = None) -> "Figure":
     """A decision against the bound, of an array each entry; by default the first."""
-    (front, _) = in_order({"": _solved(front, "plot.decision")})[""]
-    problem = front.points[0].problem
-    name, _ = chosen("plot.decision", name, problem.placements.designed, "expected a decision; received none.")
+    (front, _), problem = in_order({"": front})[""], front.points[0].problem
+    designed, nothing = problem.placements.designed, "expected a decision; received none."
+    name, place = chosen("plot.decision", name, designed, nothing)
     drawn = _over_bound(front, ("", ""), (name, unit_of_decision(name, problem)))
-    every = [np.ravel(one.decisions[name]) if one else None for one in front.optima]
-    missing = np.full(max(len(one) for one in every if one is not None), np.nan)
-    columns = np.array([missing if one is None else one for one in every], dtype=float).T
-    entries = [name] if len(columns) == 1 else [f"{name}[{i}]" for i in range(len(columns))]
-    for (entry, look), column in zip(looks(entries).items(), columns, strict=True):
+    missing = np.full(np.size(place.decision.initial), np.nan)
+    rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
+    entries = [f"{name}[{i}]" for i in range(len(missing))] if np.ndim(place.decision.initial) else [name]
+    for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
         draw(drawn, front.values, column, look, name=entry, marker_size=8)
     return drawn.update_layout(showlegend=len(entries) > 1)
-
-
-def _solved(front: Front, what: str) -> Front:
-    """The front. Raises `ProblemError` if it has no design."""
-    if not front.solved.any():
-        why = f": {front.points[0].why()}" if front.points else "."
-        raise ProblemError(f"{what}: expected a solved design; received none{why}")
-    return front
 
 
 def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
@@ -311,24 +301,18 @@ def _texts(front: TradeOff) -> list[str]:
 @figure(TradeOff, "")
 def trade_off_figure(front: TradeOff) -> "Figure":
     """Two wishes as a curve, three in space, more of them as parallel coordinates."""
-    return {2: trade_off_curve, 3: space}.get(len(front.names), parallel)(front)
+    return {2: trade_off_curve, 3: _space}.get(len(front.names), parallel)(front)
 
 
 @figure(TradeOff, "curve")
 def trade_off_curve(front: TradeOff, x: str | None = None, y: str | None = None) -> "Figure":
     """Two wishes against one another, by their names; by default the first two."""
-    places = {name: i for i, name in enumerate(_traded(front, "plot.curve").names)}
-    usual = front.names[0] if x is None else x, front.names[1] if y is None else y
-    return pair_figure(front, *(chosen("plot.curve", name, places, "")[1] for name in usual))
+    places = {name: i for i, name in enumerate(front.names)}
+    return pair_figure(front, *(chosen("plot.curve", name, places, "")[1] for name in (x, y or front.names[1])))
 
 
-@figure(TradeOff)
-def space(front: TradeOff) -> "Figure":
+def _space(front: TradeOff) -> "Figure":
     """Three wishes as points in space."""
-    if len(_traded(front, "plot.space").names) != 3:
-        raise ProblemError(
-            f"plot.space: expected three wishes; received {len(front.names)}. Draw plot.curve or plot.parallel."
-        )
     x, y, z = front.values.T
     marker = {"size": 5, "color": z, "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}}
     over = {"text": _texts(front), "hovertemplate": "%{text}<extra></extra>"}
@@ -343,21 +327,13 @@ def space(front: TradeOff) -> "Figure":
 @figure(TradeOff)
 def parallel(front: TradeOff) -> "Figure":
     """One axis for each wish, and one line for each design."""
-    columns = zip(_labels(_traded(front, "plot.parallel")), front.values.T, strict=True)
     drawn = blank("", "").add_parcoords(
-        dimensions=[{"label": text, "values": column} for text, column in columns],
+        dimensions=[{"label": text, "values": one} for text, one in zip(_labels(front), front.values.T, strict=True)],
         line={"color": front.values[:, 0], "colorscale": "Cividis"},
         labelfont={"size": SIZE, "family": FONT, "color": INK},
     )
     # Labels stand above the axes, and those of the outer ones reach beyond them.
     return drawn.update_layout(margin={"t": 80, "l": 110, "r": 110})
-
-
-def _traded(front: TradeOff, what: str) -> TradeOff:
-    if not len(front.values):
-        why = f": {'; '.join(front.failed)}" if front.failed else "."
-        raise ProblemError(f"{what}: expected a solved design; received none{why}")
-    return front
 
 
 def trade_off_table(front: TradeOff, caption: str = "") -> Table:

@@ -196,14 +196,6 @@ def decisions(solution: Solution) -> "Figure":
     return drawn.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
 
 
-@figure(Solution, "input")
-def input_figure(solution: Solution, name: str | None = None) -> "Figure":
-    """An input over time, with the band of two standard deviations about its mean; by default the first."""
-    inputs = dict.fromkeys(solution.problem.inputs, "")
-    name, _ = chosen("plot.input", name, inputs, "expected a problem with inputs; received one without.")
-    return _inputs_figure(solution, [name])
-
-
 def _inputs_figure(solution: Solution, names: Sequence[str]) -> "Figure":
     """Inputs of one unit in one figure."""
     moments, motions = solution.inputs.moments, solution.inputs
@@ -211,21 +203,6 @@ def _inputs_figure(solution: Solution, names: Sequence[str]) -> "Figure":
     drawn = timeline(", ".join(names), motions.units.get(names[0], ""), title=_warning(solution))
     means = {part: one for each in paths for part, one in each.items()}
     return add_means(drawn, np.asarray(motions.times_of(names[0])), means)
-
-
-@figure(Solution)
-def mesh(solution: Solution) -> "Figure":
-    """The meshes of a simultaneous program, with their errors."""
-    if not any(one.worst for one in solution.meshes):
-        raise ProblemError("plot.mesh: expected a solution by al.Simultaneous(); received one of simulated states.")
-    return mesh_figure(solution.meshes)
-
-
-@figure(Solution)
-def search(solution: Solution) -> "Figure":
-    """What a search without derivatives evaluated, or the local solver where there was none."""
-    searched = solution.effort.searched or solution.effort.visited
-    return search_figure(searched, unit_of(solution.problem.objective, solution.problem))
 
 
 def _over_time(solution: Solution) -> Mapping[str, str]:
@@ -339,21 +316,21 @@ _CAPTION = (
 
 def search_drawings(designs: Mapping[str, Solution]) -> list[Drawing]:
     """The searches for some designs, by their names, for a page: of those that were searched for."""
-    searches = {name: one for name, one in designs.items() if one.effort.searched and one.effort.searched.evaluations}
+    searches = {name: (one.effort.searched, one.problem) for name, one in designs.items()}
     return [
-        Drawing([search(one)], f"Search for {name} by {one.effort.searched.method}", _CAPTION)  # type: ignore[union-attr]
-        for name, one in searches.items()
+        Drawing(
+            [search_figure(searched, unit_of(problem.objective, problem))],
+            f"Search for {name} by {searched.method}",
+            _CAPTION,
+        )
+        for name, (searched, problem) in searches.items()
+        if searched is not None and searched.evaluations
     ]
 
 
 @figure(Searched, "search")
-def search_figure(searched: Searched | None, unit: str = "") -> "Figure":
-    """The objective, in its `unit`, of every point that a search evaluated, in order, and the best so far.
-
-    Raises `ProblemError` where there was no search, or none that evaluated anything.
-    """
-    if searched is None or not searched.evaluations:
-        raise ProblemError("plot.search: expected a search, or a solve, that evaluated designs; received none.")
+def search_figure(searched: Searched, unit: str = "") -> "Figure":
+    """The objective, in its `unit`, of every point that a search evaluated, in order, and the best so far."""
     drawn = blank(label("Evaluation"), label("Objective", unit))
     order, held = short(1 + np.arange(searched.evaluations)), searched.violations <= _HELD
     groups = [("feasible", held, Look(MUTED, "circle"))]

@@ -2,24 +2,18 @@
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import given, number, percent, share_text, unit_of
 from aleator.reporting._page import Table
 from aleator.reporting._showing import Facts, facts_of, figure
-from aleator.reporting._solutions import search_figure
 from aleator.reporting._spreads import bars_figure, calibration_figure
-from aleator.reporting._style import blank, draw, limit_line, looks, plain
+from aleator.reporting._style import limit_line
 from aleator.reporting._tables import objective_text
 from aleator.solution import Solution
 from aleator.sweep import Calibration, CrossChecked, Hardened, Portfolio, Starts
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-# Relative differences below this are drawn there: on a logarithmic axis, zero has no place.
-_LEAST = 1e-16
 
 figure(Calibration, "trials")(calibration_figure)
 
@@ -35,12 +29,9 @@ def _(calibration: Calibration) -> Facts:
 
 @figure(Hardened)
 def excesses(hardened: Hardened) -> "Figure":
-    """The excess of each constraint against the weight of its penalty, and the one accepted."""
-    drawn, powers = blank("Weight of the penalties", "Excess over the limit, relative"), {"type": "log", "dtick": 1}
-    drawn.update_layout(showlegend=True, xaxis=powers, yaxis=powers)
-    for name, look in looks(hardened.excesses[0]).items():
-        sizes = [one[name] if one[name] > 0 else None for one in hardened.excesses]
-        draw(drawn, list(hardened.weights), sizes, look, name=name)
+    """The excess of each constraint with each weight of the penalties, and the one accepted."""
+    groups = {f"weight {one:g}": sizes for one, sizes in zip(hardened.weights, hardened.excesses, strict=True)}
+    drawn = bars_figure(groups, y="Excess over the limit, relative").update_yaxes(type="log")
     limit_line(drawn, hardened.tolerance, f"accepted: {given(hardened.tolerance)}")
     return drawn
 
@@ -80,12 +71,6 @@ def optima(portfolio: Portfolio) -> "Figure":
     )
 
 
-@figure(Portfolio)
-def search(portfolio: Portfolio) -> "Figure":
-    """What the global search evaluated."""
-    return search_figure(portfolio.searched, _unit(portfolio.best))
-
-
 def _optima(counts: list[tuple[str, dict[str, int]]]) -> "Figure":
     groups = {kind: {place: one[kind] for place, one in counts} for kind in counts[0][1]}
     drawn = bars_figure(groups, y="Starts that led there")
@@ -123,12 +108,6 @@ def differences(checked: CrossChecked) -> "Figure":
     multipliers = {f"multiplier of {text}": value for text, value in checked.multipliers.items()}
     groups = {"objective": {"objective": checked.objective}, "decisions": checked.decisions}
     groups |= {"statistics": checked.statistics, "multipliers": multipliers}
-    drawn = blank("Relative difference", "", height=130 + 34 * sum(map(len, groups.values())))
-    drawn.update_layout(showlegend=True, xaxis={"type": "log", "dtick": 2})
-    for kind, look in looks(groups).items():
-        places = [max(size, _LEAST) if np.isfinite(size) else None for size in groups[kind].values()]
-        texts = [f"{plain(name)}: {size:.1e}" for name, size in groups[kind].items()]
-        names = [plain(name) for name in groups[kind]]
-        draw(drawn, places, names, look, name=kind, mode="markers", text=texts, hover="%{text}")
-    limit_line(drawn, checked.tolerance, f"accepted: {given(checked.tolerance)}", axis="x")
-    return drawn.update_yaxes(type="category", autorange="reversed")
+    drawn = bars_figure({kind: one for kind, one in groups.items() if one}, y="Relative difference")
+    limit_line(drawn.update_yaxes(type="log"), checked.tolerance, f"accepted: {given(checked.tolerance)}")
+    return drawn
