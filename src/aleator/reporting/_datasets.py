@@ -53,10 +53,10 @@ def dataset(result: Any) -> Any:
     return result
 
 
-def _array(axes: Any, values: Any, about: str, unit: str = "", **more: str) -> Any:
-    """A variable of a dataset: its axes, its values, what they are, in which unit."""
+def _array(axes: Any, values: Any, unit: str = "", **more: str) -> Any:
+    """A variable of a dataset: its axes, its values, their unit, and more of its attributes."""
     array = np.asarray(values)
-    return axes, array, {"long_name": about, "units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
+    return axes, array, {"units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
 
 
 def _dataset(
@@ -107,39 +107,37 @@ def _axes(problem: Problem, one: Any, values: Any) -> tuple[str, ...]:
 def _(solution: Solution) -> "xarray.Dataset":
     """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
     problem, objective_unit = solution.problem, unit_of(solution.problem.objective, solution.problem)
-    arrays: Arrays = {"objective": _array((), solution.objective, str(problem.objective), objective_unit)}
+    arrays: Arrays = {"objective": _array((), solution.objective, objective_unit, long_name=str(problem.objective))}
     for name, value in solution.decisions.items():
         axes, multiplier = _entries(name, value), solution.bound_multipliers.get(name, np.nan)
-        arrays[f"decision {name}"] = _array(axes, value, name, unit_of_decision(name, problem))
-        arrays[f"multiplier {name}"] = _array(axes, multiplier, f"multiplier of the bounds of {name}")
+        arrays[f"decision {name}"] = _array(axes, value, unit_of_decision(name, problem))
+        arrays[f"multiplier {name}"] = _array(axes, multiplier)
     for i, (limit, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
         unit, label = unit_of(declared.expression, problem), f"constraint {i} {limit.name}"
         axes, ends = _axes(problem, declared, limit.values), {"lower": f"{limit.lower:g}", "upper": f"{limit.upper:g}"}
         if limit.times is not None and len(limit.times) > len(solution.instants):  # Limits on a mesh have more instants
             axes = ("point of limits", *axes[1:])
-            arrays["times of limits"] = _array(axes[0], limit.times, "instants of limits over time", "s")
-        arrays[label] = _array(axes, limit.values, limit.text, unit, **ends)
-        arrays[f"{label} multiplier"] = _array(axes, limit.multipliers, "minus the objective per bound")
-        arrays[f"{label} active"] = _array(axes, np.asarray(limit.active, dtype=np.int8), "1 where active")
+            arrays["times of limits"] = _array(axes[0], limit.times, "s")
+        arrays[label] = _array(axes, limit.values, unit, long_name=limit.text, **ends)
+        arrays[f"{label} multiplier"] = _array(axes, limit.multipliers)
+        arrays[f"{label} active"] = _array(axes, np.asarray(limit.active, dtype=np.int8))
     functionals = {one.text(): one for one in functionals_of(problem.expressions)}
     for text, moments in solution.moments.items():
         axes, unit = _axes(problem, functionals[text], moments.mean), unit_of(functionals[text], problem)
-        arrays[f"mean {text}"] = _array(axes, moments.mean, f"mean of {text} by the expansion", unit)
-        arrays[f"std {text}"] = _array(axes, moments.std, f"standard deviation of {text} by the expansion", unit)
-    for statistic in statistics_in(problem.expressions):
-        if not statistic.is_moment:
-            text = statistic.text()
-            axes = _axes(problem, statistic.functionals[0], solution.statistics[text])
-            unit = unit_of(statistic, problem)
-            arrays[f"statistic {text}"] = _array(axes, solution.statistics[text], f"{text} by the expansion", unit)
+        arrays[f"mean {text}"] = _array(axes, moments.mean, unit)
+        arrays[f"std {text}"] = _array(axes, moments.std, unit)
+    for one in statistics_in(problem.expressions):
+        if not one.is_moment:
+            values = solution.statistics[one.text()]
+            axes = _axes(problem, one.functionals[0], values)
+            arrays[f"statistic {one.text()}"] = _array(axes, values, unit_of(one, problem))
     for i, mesh in enumerate(solution.meshes, 1):
-        arrays[f"mesh {i}"] = _array(f"node of mesh {i}", mesh.nodes, f"nodes of mesh {i}, {mesh.scheme}", "s")
-        axes, about = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
-        arrays[f"mesh {i} drift"] = _array(axes, mesh.drifts, about, asked=f"{mesh.asked:g}")
+        arrays[f"mesh {i}"] = _array(f"node of mesh {i}", mesh.nodes, "s", long_name=mesh.scheme)
+        axes = f"realisation of mesh {i}", f"interval of mesh {i}"
+        arrays[f"mesh {i} drift"] = _array(axes, mesh.drifts, asked=f"{mesh.asked:g}")
     if (searched := solution.effort.searched) is not None:
-        about = f"by {searched.method}"
-        arrays["searched objective"] = _array("evaluation", searched.objectives, about, objective_unit)
-        arrays["searched violation"] = _array("evaluation", searched.violations, "largest violation")
+        arrays["searched objective"] = _array("evaluation", searched.objectives, objective_unit)
+        arrays["searched violation"] = _array("evaluation", searched.violations)
     attributes = {
         "status": solution.status.value,
         "solver": solution.effort.solver,
@@ -161,13 +159,11 @@ def _histories(solution: Solution) -> Arrays:
         for name, values in histories.values.items():
             of = f" of {phase_of(name)}" if histories.phases else ""
             along = f"point of {kind}s{of}"
-            arrays[f"times of {kind}s{of}"] = _array(along, histories.times_of(name), f"instants of {kind}s{of}", "s")
+            arrays[f"times of {kind}s{of}"] = _array(along, histories.times_of(name), "s")
             axes = (along,) if histories is solution.switching else ("realisation", along)
-            axes += _components(values.shape[len(axes) :])
-            arrays[f"{kind} {name}"] = _array(axes, values, f"{kind} of {name}")
+            arrays[f"{kind} {name}"] = _array((*axes, *_components(values.shape[len(axes) :])), values)
     if solution.mesh_states is not None:
-        axes = ("realisation", "germ variable")
-        arrays["germ"] = _array(axes, solution.mesh_states.germs, "germ points of the realisations")
+        arrays["germ"] = _array(("realisation", "germ variable"), solution.mesh_states.germs)
     return arrays
 
 
@@ -180,21 +176,19 @@ def _(evidence: Evidence) -> "xarray.Dataset":
     for text, sampled in evidence.functionals.items():
         axes, unit = _axes(problem, functionals[text], sampled.mean), unit_of(functionals[text], problem)
         parts = {"sampled mean": sampled.mean, "sampled std": sampled.std, "standard error": sampled.standard_error}
-        arrays |= {f"{part} {text}": _array(axes, one, f"{part} of {text}", unit) for part, one in parts.items()}
+        arrays |= {f"{part} {text}": _array(axes, values, unit) for part, values in parts.items()}
         if sampled.percentiles is not None:
-            about = f"percentiles of {text}"
-            arrays[f"percentiles {text}"] = _array("percent", sampled.percentiles, about, unit)
+            arrays[f"percentiles {text}"] = _array("percent", sampled.percentiles, unit)
     for text, sampled in evidence.statistics.items():
         unit = unit_of(sampled.statistic, problem)
-        arrays[f"sampled {text}"] = _array((), sampled.estimate, f"{text} of the samples", unit)
-        arrays[f"standard error {text}"] = _array((), sampled.standard_error, f"standard error of {text}", unit)
+        arrays[f"sampled {text}"] = _array((), sampled.estimate, unit)
+        arrays[f"standard error {text}"] = _array((), sampled.standard_error, unit)
     limits = {one.name: one for one in problem.constraints if one.is_path}
     for i, kept in enumerate(evidence.trajectories):
-        axes, label = ("system", *_axes(problem, limits[kept.name], kept.values[0])), f"trajectory {i}"
-        unit, ends = unit_of_limit(kept.name, problem), {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
-        arrays[f"{label} {kept.name}"] = _array(axes, kept.values, f"sampled systems: {kept.name}", unit, **ends)
-        broken, about = np.asarray(kept.violating, dtype=np.int8), f"1 if the system violates {kept.name}"
-        arrays[f"{label} violating"] = _array("system", broken, about)
+        axes, unit = _axes(problem, limits[kept.name], kept.values[0]), unit_of_limit(kept.name, problem)
+        ends = {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
+        arrays[f"trajectory {i} {kept.name}"] = _array(("system", *axes), kept.values, unit, **ends)
+        arrays[f"trajectory {i} violating"] = _array("system", np.asarray(kept.violating, dtype=np.int8))
     attributes = {name: getattr(evidence, name) for name in ("samples", "seed", "seconds", "instants")}
     attributes = {name: value for name, value in attributes.items() if value is not None}
     return _dataset(arrays, attributes, evidence.solution, limit=list(shares), percent=list(PERCENTILES))
@@ -202,11 +196,11 @@ def _(evidence: Evidence) -> "xarray.Dataset":
 
 def _shares(axis: str, shares: Sequence[Share]) -> Arrays:
     """Shares of systems that violate, with their intervals."""
-    level = f"{100 * shares[0].confidence:g} %" if shares else ""
+    ends = {"confidence": f"{shares[0].confidence:g}"} if shares else {}
     return {
-        "violation": _array(axis, [one.estimate for one in shares], "share of systems that violate"),
-        "violation_lower": _array(axis, [one.lower for one in shares], f"lower end of its {level} interval"),
-        "violation_upper": _array(axis, [one.upper for one in shares], f"upper end of its {level} interval"),
+        "violation": _array(axis, [one.estimate for one in shares]),
+        "violation_lower": _array(axis, [one.lower for one in shares], **ends),
+        "violation_upper": _array(axis, [one.upper for one in shares], **ends),
     }
 
 
@@ -219,17 +213,15 @@ def _(front: Front) -> "xarray.Dataset":
     problem = front.solutions[0].problem
     bound_unit, unit = unit_of_limit(front.bound, problem), unit_of(problem.objective, problem)
     price_unit = f"{unit or '1'} per {bound_unit or '1'}"
-    active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
-    why = ["" if one.ok else one.why() for one in front.points]
     arrays = {
-        "objective": _array("bound", front.objectives, str(problem.objective), unit),
-        "shadow_price": _array("bound", front.shadow_prices, f"shadow price of {front.bound}", price_unit),
-        "violation": _array("bound", front.violations, "scaled violation"),
-        "status": _array("bound", [one.status.name for one in front.points], "how each solve ended"),
-        "active": _array("bound", active, "active constraints"),
-        "why": _array("bound", why, "why there is no optimum"),
+        "objective": _array("bound", front.objectives, unit, long_name=str(problem.objective)),
+        "shadow_price": _array("bound", front.shadow_prices, price_unit),
+        "violation": _array("bound", front.violations),
+        "status": _array("bound", [one.status.name for one in front.points]),
+        "active": _array("bound", [", ".join(getattr(one, "active", ())) for one in front.points]),
+        "why": _array("bound", ["" if one.ok else one.why() for one in front.points]),
     }
-    bound = _array("bound", front.values, f"limit of {front.bound}", bound_unit)
+    bound = _array("bound", front.values, bound_unit, long_name=f"limit of {front.bound}")
     return _dataset(arrays | _decisions("bound", front.points), {"interrupted": int(front.interrupted)}, bound=bound)
 
 
@@ -239,7 +231,7 @@ def _(calibration: Calibration) -> "xarray.Dataset":
     trials, problem = sorted(calibration.trials, key=lambda trial: trial.sigmas), calibration.solution.problem
     objectives, unit = [trial.solution.objective for trial in trials], unit_of(problem.objective, problem)
     arrays = _shares("sigmas", [trial.violation for trial in trials])
-    arrays["objective"] = _array("sigmas", objectives, "optimum at this margin", unit)
+    arrays["objective"] = _array("sigmas", objectives, unit)
     attributes = {
         "constraint": calibration.name,
         "target": calibration.target,
@@ -252,8 +244,7 @@ def _(calibration: Calibration) -> "xarray.Dataset":
     if (fresh := calibration.confirmation) is not None:
         attributes |= {"fresh": fresh.estimate, "fresh_lower": fresh.lower, "fresh_upper": fresh.upper}
         attributes |= {"fresh_samples": fresh.samples, "fresh_confidence": fresh.confidence}
-    sigmas = _array("sigmas", [trial.sigmas for trial in trials], "multiple of the standard deviation")
-    return _dataset(arrays, attributes, sigmas=sigmas)
+    return _dataset(arrays, attributes, sigmas=[trial.sigmas for trial in trials])
 
 
 @dataset.register(TradeOff)
@@ -262,8 +253,8 @@ def _(front: TradeOff) -> "xarray.Dataset":
     arrays: Arrays = {}
     for i, (name, wish) in enumerate(zip(front.names, front.wishes, strict=True)):
         unit = unit_of(wish, front.solutions[0].problem)
-        arrays[f"wish {name}"] = _array("design", front.values[:, i], str(wish), unit)
-        arrays[f"weight {name}"] = _array("design", front.weights[:, i], f"how much {name} counts")
+        arrays[f"wish {name}"] = _array("design", front.values[:, i], unit, long_name=str(wish))
+        arrays[f"weight {name}"] = _array("design", front.weights[:, i])
     attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
     return _dataset(arrays | _decisions("design", front.solutions), attributes)
 
@@ -279,7 +270,7 @@ def _decisions(along: str, points: Sequence[Any]) -> Arrays:
             if isinstance(one, Solution):
                 stacked[(i, *map(slice, np.shape(one.decisions[name])))] = one.decisions[name]
         unit = unit_of_decision(name, solved[0].problem)
-        arrays[f"decision {name}"] = _array((along, *_entries(name, value)), stacked, name, unit)
+        arrays[f"decision {name}"] = _array((along, *_entries(name, value)), stacked, unit)
     return arrays
 
 

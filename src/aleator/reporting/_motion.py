@@ -116,12 +116,13 @@ def _plane(
     figure.update_xaxes(range=[left, right], constrain="domain")
     figure.update_yaxes(range=[low, high], scaleanchor="x", scaleratio=1, constrain="domain")
     solid = {"fillcolor": "rgba(51,64,77,0.18)", "line_color": LIMIT, "layer": "below"}
-    solid["label"] = {"font": {"size": SIZE - 2, "color": LIMIT}}
+    written = {"font": {"size": SIZE - 2, "color": LIMIT}}
     for (x0, y0), (x1, y1) in discs:
-        figure.add_shape(type="circle", x0=x0, y0=y0, x1=x1, y1=y1, label_text="obstacle", line_width=1.3, **solid)
+        ends, said = {"x0": x0, "x1": x1, "y0": y0, "y1": y1}, written | {"text": "obstacle"}
+        figure.add_shape(type="circle", label=said, line_width=1.3, **ends, **solid)
     if scene.wall is not None:
-        wall = {"x0": left, "x1": scene.wall, "y0": low, "y1": high, "label_text": "wall", "label_textangle": -90}
-        figure.add_shape(type="rect", line_width=0, **wall, **solid)
+        ends, said = {"x0": left, "x1": scene.wall, "y0": low, "y1": high}, written | {"text": "wall", "textangle": -90}
+        figure.add_shape(type="rect", label=said, line_width=0, **ends, **solid)
     if target is not None:
         thin = {"marker_symbol": "x-thin", "marker_size": 13, "marker_line_width": 2.5, "marker_line_color": INK}
         x, y = ([float(one)] for one in target)

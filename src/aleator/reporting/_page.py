@@ -39,7 +39,6 @@ class Verdict:
     def __post_init__(self) -> None:
         if self.level not in get_args(Level):
             raise refusal("Verdict: level", " or ".join(map(repr, get_args(Level))), self.level)
-        members("Verdict: sentences", self.sentences, str)
 
 
 @final
@@ -49,9 +48,6 @@ class Text:
 
     paragraphs: Sequence[str]
     lead: str = ""
-
-    def __post_init__(self) -> None:
-        members("Text: paragraphs", self.paragraphs, str)
 
 
 @final

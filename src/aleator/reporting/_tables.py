@@ -211,13 +211,17 @@ def _excesses(one: Mapping[str, Any]) -> list[float]:
 
 def _prices(document: Mapping[str, Any], limits: Mapping[str, Sequence[Any]]) -> Iterator[Row]:
     """The shadow price of each limit, and those of the bounds of decisions where these lie at one."""
-    prices = [(name, sum(one["shadow_price"] for one in parts), parts[0]["unit"]) for name, parts in limits.items()]
+    prices = [(name, _price(parts), parts[0]["unit"]) for name, parts in limits.items()]
     for name, one in document["decisions"].items():
         if one["at_bound"] and np.any(one["multiplier"]):
             prices.append((f"bound of {name}", float(np.sum(np.abs(one["multiplier"]))), one["unit"]))
     unit = document["objective"]["unit"]
     for name, price, by in prices:
         yield Row("Shadow prices", name, number(price, 4, f"{unit} per {by}".strip() if by else unit))
+
+
+def _price(parts: Sequence[Mapping[str, Any]]) -> float:
+    return float(sum(one["shadow_price"] for one in parts))
 
 
 def evidence_rows(evidence: Mapping[str, Any]) -> Iterator[Row]:
@@ -240,7 +244,7 @@ def _certificate(document: Mapping[str, Any]) -> Iterator[Row]:
         for name in ("violation", "stationarity", "complementarity")
     }
     # That of the certificate itself are the residuals.
-    said = {label: text for label, text in certificate["said"].items() if label != "certificate"}
+    said: dict[str, str] = {label: text for label, text in certificate["said"].items() if label != "certificate"}
     rows |= {_LABELS.get(label, label).capitalize(): text for label, text in said.items()}
     if expansion["points"] > 1:
         rows |= {f"Leave-one-out error, {text}": residual(one) for text, one in expansion["leave_one_out"].items()}
@@ -255,7 +259,7 @@ def _certificate(document: Mapping[str, Any]) -> Iterator[Row]:
 # --- Tables ----------------------------------------------------------------------------------------------------------
 
 # What a row is called in a table of whole designs; certificates and what is sampled beside them have their own.
-_LABELS = {
+_IN_TABLES = {
     **{"Status": "{}", "Decisions": "{}", "Objective": "{}", "Limits": "{}: worst value", "Active": "{}"},
     **{"Shadow prices": "{}: shadow price of the bound", "Evidence": "{}"},
 }
@@ -285,7 +289,7 @@ def documents_table(caption: str, documents: Mapping[str, Mapping[str, object] |
 
 def designed(rows: Iterable[Row]) -> dict[str, str]:
     """What a design is, what it achieves, and how often its limits break, in words by label."""
-    return {_LABELS[one.kind].format(one.label): one.text for one in rows if one.kind in _LABELS}
+    return {_IN_TABLES[one.kind].format(one.label): one.text for one in rows if one.kind in _IN_TABLES}
 
 
 def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:

@@ -92,7 +92,7 @@ def decision_path_figure(fronts: Mapping[str, al.results.Front], lowest: float) 
         # Labels at both ends of several fronts would overlap.
         texts = [text if place == max(xs) else "" for place, text in zip(xs, bounds, strict=True)]
         marks = {"line_width": 1.5, "marker_symbol": f"{look.symbol}-open", "marker_size": 10, "marker_line_width": 2}
-        written = {"text": texts, "textposition": "middle left", "textfont": {"size": SIZE - 2, "color": look.colour}}
+        written = {"text": texts, "textposition": "top left", "textfont": {"size": SIZE - 2, "color": look.colour}}
         over = {"customdata": bounds, "hover": f"{plain(front.bound)} limit: %{{customdata}}", "cliponaxis": False}
         draw(figure, xs, ys, look, name=name, mode="lines+markers+text", **over, **marks, **written)
         reached += ys
@@ -119,6 +119,6 @@ def shaded(figure: "Figure", name: str, front: al.results.Front) -> "Figure":
         gap = float(np.min(np.abs(np.diff(np.sort(front.values))))) / 2 if len(front.values) > 1 else 0.0
         low, high = float(missing.min()) - gap, float(missing.max()) + gap
         figure.add_vrect(x0=low, x1=high, fillcolor=MUTED, opacity=0.13, line_width=0)
-        place = {"x": high, "y": 0.02, "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
-        figure.add_annotation(text=f"◄ no {name} exists here", showarrow=False, font={"size": SIZE - 1}, **place)
+        place = {"x": high, "y": 0.98, "yref": "paper", "xanchor": "right", "yanchor": "top"}
+        figure.add_annotation(text=f"no {name} exists here ", showarrow=False, font={"size": SIZE - 1}, **place)
     return figure
