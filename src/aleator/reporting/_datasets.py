@@ -132,7 +132,7 @@ def _(solution: Solution) -> "xarray.Dataset":
             axes = _axes(problem, one.functionals[0], values)
             arrays[f"statistic {one.text()}"] = _array(axes, values, unit_of(one, problem))
     for i, mesh in enumerate(solution.meshes, 1):
-        arrays[f"mesh {i}"] = _array(f"node of mesh {i}", mesh.nodes, "s", long_name=mesh.scheme)
+        arrays[f"mesh {i}"] = _array(f"node of mesh {i}", mesh.nodes, "s", long_name=str(mesh.scheme))
         axes = f"realisation of mesh {i}", f"interval of mesh {i}"
         arrays[f"mesh {i} drift"] = _array(axes, mesh.drifts, asked=f"{mesh.asked:g}")
     if (searched := solution.effort.searched) is not None:
