@@ -48,7 +48,6 @@ from ._page import page_html as page_html
 from ._page import write_page as write_page
 from ._paths import bands_figure as bands_figure
 from ._paths import histories_figure as histories_figure
-from ._paths import signal_figure as signal_figure
 from ._paths import trajectory_figure as trajectory_figure
 from ._report import evidence_sections as evidence_sections
 from ._report import front_blocks as front_blocks

@@ -194,8 +194,7 @@ def shadow_prices(front: Front) -> "Figure":
 def decision(front: Front, name: str | None = None) -> "Figure":
     """A decision against the bound, of an array each entry; by default the first."""
     (front, _), problem = in_order({"": front})[""], front.points[0].problem
-    designed, nothing = problem.placements.designed, "expected a decision; received none."
-    name, place = chosen("plot.decision", name, designed, nothing)
+    name, place = chosen("plot.decision", name, problem.placements.designed)
     drawn = _over_bound(front, ("", ""), (name, unit_of_decision(name, problem)))
     missing = np.full(np.size(place.decision.initial), np.nan)
     rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
@@ -308,7 +307,7 @@ def trade_off_figure(front: TradeOff) -> "Figure":
 def trade_off_curve(front: TradeOff, x: str | None = None, y: str | None = None) -> "Figure":
     """Two wishes against one another, by their names; by default the first two."""
     places = {name: i for i, name in enumerate(front.names)}
-    return pair_figure(front, *(chosen("plot.curve", name, places, "")[1] for name in (x, y or front.names[1])))
+    return pair_figure(front, *(chosen("plot.curve", name, places)[1] for name in (x, y or front.names[1])))
 
 
 def _space(front: TradeOff) -> "Figure":

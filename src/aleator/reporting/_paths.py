@@ -82,11 +82,9 @@ def limits_text(bounds: Sequence[float], unit: str) -> dict[float, str]:
 # --- What figures over time are made of ------------------------------------------------------------------------------
 
 
-def timeline(
-    y: str, unit: str = "", limits: Mapping[float, str] | None = None, title: str = "", height: int = 380
-) -> "Figure":
+def timeline(y: str, unit: str = "", limits: Mapping[float, str] | None = None, title: str = "") -> "Figure":
     """An empty figure over time, with limits as lines."""
-    figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=height)
+    figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=380)
     for bound, text in (limits or {}).items():
         limit_line(figure, bound, text)
     return figure.update_layout(showlegend=True)
@@ -193,11 +191,6 @@ def bands_figure(
         named = {"name": f"{name}, target", "mode": "markers", "showlegend": False}
         draw(figure, [float(times[-1])], [target], styles[name], **named, **ring)
     return figure
-
-
-def signal_figure(times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "") -> "Figure":
-    """One certain history over time."""
-    return add_means(timeline(name, unit, height=300), times, components(name, values)).update_layout(showlegend=False)
 
 
 def trajectory_figure(

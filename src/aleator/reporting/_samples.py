@@ -65,8 +65,7 @@ def sampled_band(evidence: Evidence, output: str | None = None, *, sigmas: float
     - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
     """
     problem = evidence.solution.problem
-    nothing = "expected a path in the problem, such as al.path('x'); received one without."
-    name, functional = chosen("plot.band", output, paths_of(problem), nothing)
+    name, functional = chosen("plot.band", output, paths_of(problem))
     sampled, limits = evidence.functionals[functional.text()], limits_of(problem, functional)
     times, drawn = evidence.solution.times_of(functional), timeline(name, limits.unit, limits.texts)
     kept = [one.values for one in evidence.trajectories if one.name in limits.names]
@@ -232,7 +231,7 @@ def _scalar(what: str, expanded: AbstractExpanded, output: str | None) -> tuple[
     """One number of an expansion: its name, the output that it belongs to, and its place there."""
     name, one = "output", expanded
     if isinstance(expanded.mean, Mapping):
-        name, _ = chosen(what, output, expanded.mean, "expected an output; received none.")
+        name, _ = chosen(what, output, expanded.mean)
         one = expanded[name]
     elif output is not None:
         raise ProblemError(f"{what}: expected no name, for a function with one output; received '{output}'.")

@@ -63,7 +63,9 @@ def plots_of(result: Any) -> Figures:
     return Figures(result, _FIGURES[kind])
 
 
-def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str) -> tuple[str, Value]:
+def chosen(
+    what: str, name: str | None, known: Mapping[str, Value], nothing: str = "there is nothing to draw."
+) -> tuple[str, Value]:
     """What is known by a name, with the name; the first where none is asked for.
 
     Raises `ProblemError` for an unknown name, with the nearest one, and with the sentence `nothing` if there is none.

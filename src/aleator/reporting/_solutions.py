@@ -124,7 +124,7 @@ def limit(solution: Solution, name: str | None = None) -> "Figure":
     """
     limits = {one.name: bool(np.any(one.active)) for one in solution.constraints if one.times is not None}
     usual = next((one for one, is_active in limits.items() if is_active), None)
-    name, _ = chosen("plot.limit", name or usual, limits, "expected a limit over time; received none.")
+    name, _ = chosen("plot.limit", name or usual, limits)
     every = zip(solution.constraints, solution.problem.constraints, strict=True)
     # Both sides of a limit, or limits on several paths, may have one name.
     named = [(one, declared.expression) for one, declared in every if one.name == name and one.times is not None]
@@ -154,8 +154,7 @@ def histories(solution: Solution, output: str | None = None, *, samples: int = 5
     samples, seed = whole("plot.histories: samples", samples), whole("plot.histories: seed", seed, least=0)
     usual = paths.get(_held_path(solution) or "")
     output = usual.output if output is None and usual is not None else output
-    nothing = "expected a system with outputs; received one without."
-    name, kind = chosen("plot.histories", output, _over_time(solution), nothing)
+    name, kind = chosen("plot.histories", output, _over_time(solution))
     is_random = kind == "outputs" and bool(problem.placements.germs)
     motions = simulate_systems(solution, samples, seed=seed) if is_random else getattr(solution, kind)
     limited = paths.get(name)
@@ -251,21 +250,21 @@ def _(solution: Solution) -> Facts:
 @figure(States)
 def state(states: States, name: str | None = None) -> "Figure":
     """A state over time, of every realisation at the collocation points; by default the first."""
-    name, values = chosen("plot.state", name, states.values, "expected a system with states; received one without.")
+    name, values = chosen("plot.state", name, states.values)
     return histories_figure(states.times_of(name), values, y=name, who="realisations")
 
 
 @figure(Costates)
 def costate(costates: Costates, name: str | None = None) -> "Figure":
     """The costate of a state over time, of every realisation at the collocation points; by default the first."""
-    name, values = chosen("plot.costate", name, costates.values, "expected a system with states; received one without.")
+    name, values = chosen("plot.costate", name, costates.values)
     return histories_figure(costates.times_of(name), values, y=f"Costate of {name}", who="realisations")
 
 
 @figure(Switching, "input")
 def switching_figure(switching: Switching, name: str | None = None) -> "Figure":
     """The switching function of an input over time, with its zero; by default of the first."""
-    name, values = chosen("plot.input", name, switching.values, "expected inputs that are certain; received none.")
+    name, values = chosen("plot.input", name, switching.values)
     drawn = timeline(f"Switching function of {name}", limits={0.0: "an input inside its bounds makes it zero"})
     return add_means(drawn, switching.times_of(name), components(name, values))
 

@@ -66,7 +66,8 @@ def chapter(page: Draft, quick: bool) -> None:
     )
     page.add(system(page, "suspension/car.svg", "Quarter car on its road", told, "6.1 and 6.3"))
     heights = np.asarray(suspension.road().values)
-    figure = reporting.signal_figure(np.asarray(suspension.GRID.times), heights, name="Road height", unit="m")
+    figure = reporting.histories_figure(np.asarray(suspension.GRID.times), heights[None], y="Road height", unit="m")
+    figure.update_layout(showlegend=False, height=300)
     page.add(Drawing([figure], "The road", "Four bumps of 0.15 m at 1, 5, 10 and 15 Hz, with noise on top.", "6.2"))
 
     page.section("The three designs")
@@ -178,7 +179,7 @@ def chapter(page: Draft, quick: bool) -> None:
     ):
         counted = {name: one.functionals[text] for name, one in evidence.items()}
         figure = reporting.percentile_figure(counted, x=name, unit=unit, limit=limit)
-        told = "Whiskers: 5 to 95 % of the cars; boxes: 25 to 75 %, with the median; dashed: the mean. The ride limit binds aOpt only."
+        told = "Whiskers: 5 to 95 % of the cars; boxes: 25 to 75 %; dashed: the mean. The ride limit binds aOpt only."
         page.add(Drawing([figure], f"{name} over random cars", told))
     page.add(reporting.evidence_table({f"{name} (±{NARROW:g} m)": one for name, one in narrow_evidence.items()}))
     if counted := {f"{name} to build": one.evidence for name, one in built.items() if one.evidence}:
