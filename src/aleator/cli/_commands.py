@@ -13,11 +13,11 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._course import executed
 from aleator.cli._folder import Record, folder_of, folder_over, is_stale, recorded, stale, study_of
 from aleator.cli._interruption import Interruptions
-from aleator.cli._results import designs_and_evidence, documents_table
+from aleator.cli._results import designs_and_evidence
 from aleator.cli._terminal import FAILED, Terminal, shown
 from aleator.design import Problem
 from aleator.journalling import Entry, Journal, examined, journal, listing, names_of
-from aleator.reporting import evidence_document, evidence_table, solution_document, violations_table
+from aleator.reporting import documents_table, evidence_document, evidence_table, solution_document, violations_table
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies import AbstractStudy, Check, executor_of, problems_of

@@ -5,7 +5,7 @@ model.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -27,13 +27,12 @@ from aleator.reporting import (
     Text,
     Verdict,
     by_place,
+    documents_table,
     json_text,
-    percent,
     proposal,
+    rows_of,
     sections,
-    side_by_side,
     solution_document,
-    values_text,
     whole_page,
     words,
     write_page,
@@ -201,7 +200,7 @@ def _beside(name: str, names: Sequence[str | None], designs: Mapping[str, Any]) 
 def _differing(first: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """What differs between two designs, down to the last digit."""
     whole, another = (
-        {label: exact for label, _, exact in rows_of(one)}
+        {row.label: row.exact for row in rows_of(one) if row.exact is not None}
         | {"constraints": one["constraints"], "the problem": one["problem"]}
         for one in (first, other)
     )
@@ -256,20 +255,3 @@ def written_designs(folder: Path) -> Mapping[str, Any]:
         raise ProblemError(
             f"'{path}' cannot be read as the designs of a run ({type(error).__name__}: {error})."
         ) from error
-
-
-def documents_table(caption: str, designs: Mapping[str, Mapping[str, Any] | None]) -> Table:
-    """Documents of designs side by side; None where there is no design."""
-    columns = {name: {label: text for label, text, _ in rows_of(one)} if one else {} for name, one in designs.items()}
-    return side_by_side(caption, columns)
-
-
-def rows_of(design: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Status, decisions, objective, and how often limits break: the label of each, as text and exactly."""
-    yield "Status", design["status"].partition(":")[0], design["status"]
-    for name, number in [*design["decisions"].items(), ("Objective", design["objective"])]:
-        value, unit = number["value"], number["unit"]
-        yield name, NOTHING if value is None else values_text(value, 6, unit), (value, unit)
-    for limit, share in design.get("evidence", {}).get("violations", {}).items():
-        text = f"{percent(share['estimate'])} [{percent(share['lower'])} to {percent(share['upper'])}]"
-        yield f"Systems that violate {'any limit' if limit == 'any' else limit}", text, share

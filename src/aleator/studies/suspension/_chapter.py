@@ -8,7 +8,7 @@ import numpy as np
 import aleator as al
 from aleator import reporting
 from aleator.design import value_at
-from aleator.reporting import Axis, Box, Drawing, Linked, Table, given, number, percent, share_text, words
+from aleator.reporting import Drawing, Linked, Table, given, number, percent, share_text, words
 from aleator.studies import suspension
 from aleator.studies._shared import (
     TARGET,
@@ -22,6 +22,14 @@ from aleator.studies._shared import (
 )
 from aleator.studies._study import Draft
 from aleator.studies.suspension import COST, apportionment_problem, deterministic_problem, robust_problem
+from aleator.studies.suspension._figures import (
+    Axis,
+    Box,
+    decision_path_figure,
+    projection_figure,
+    relative_figure,
+    shaded,
+)
 
 TRAVEL, HOLDING, RIDE, NARROW = 0.203, 0.034, 220.0, 0.152
 RIDE_TEXT, HOLDING_TEXT, RIDE_UNIT = "∫comfort dt", "rms(grip)", "m²/s³"
@@ -97,7 +105,8 @@ def chapter(page: Draft, quick: bool) -> None:
     )
     page.add(system(page, "suspension/car.svg", "Quarter car on its road", told, "6.1 and 6.3"))
     heights = np.asarray(suspension.road().values)
-    figure = reporting.signal_figure(np.asarray(suspension.GRID.times), heights, name="Road height", unit="m")
+    figure = reporting.histories_figure(np.asarray(suspension.GRID.times), heights[None], y="Road height", unit="m")
+    figure.update_layout(showlegend=False, height=300)
     page.add(Drawing([figure], "The road", "Four bumps of 0.15 m at 1, 5, 10 and 15 Hz, with noise on top.", "6.2"))
 
     page.section("The three designs")
@@ -193,10 +202,11 @@ def chapter(page: Draft, quick: bool) -> None:
         "enough: the load mₛ and the tyre kᵤ keep their spreads."
     )
     line = {f"ride limit of aOpt, {RIDE:g}": RIDE}
-    page.add(front(over_travel, heading, told, "7.4", **over_r, **ride, limits=line, infeasible=costs))
+    linked = front(over_travel, heading, told, "7.4", **over_r, **ride, limits=line)
+    shaded(linked.figures[0], "aOpt", costs["aOpt"])
+    page.add(linked)
     if costs["aOpt"].solved.any():
-        relative = {**over_r, "y": "Half-width (% of its initial value)"}
-        figure = reporting.relative_figure(costs["aOpt"], SPREADS, **relative)
+        figure = relative_figure(costs["aOpt"], SPREADS, "Travel limit R (m)", "Half-width (% of its initial value)")
         told = "Above 100 % they are cheaper than the initial ones. Bounds of the search: 5 % and 400 %."
         page.add(Drawing([figure], "Apportioned spreads against the travel limit", told, "7.5"))
 
@@ -286,7 +296,7 @@ def projections(designs: Mapping[str, al.Solution], heading: str, place: str, ca
     boxes = [box(one, name) for name, one in designs.items()]
     axes = AXES if "aOpt" in designs else AXES | {"ride": Axis("Ride", RIDE_UNIT)}
     planes = (("holding", "travel"), ("holding", "ride"), ("travel", "ride"))
-    return Drawing([reporting.projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
+    return Drawing([projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
 
 
 def holding_boxes(fronts: Mapping[str, al.results.Front]) -> Drawing:
@@ -301,7 +311,7 @@ def holding_boxes(fronts: Mapping[str, al.results.Front]) -> Drawing:
                 boxes.append(box(one, name, dash, f"H = {bound:g} m"))
     axes = AXES | {"holding": Axis("Holding", "m", limits)}
     return Drawing(
-        [reporting.projection_figure(boxes, "holding", "travel", axes, height=520)],
+        [projection_figure(boxes, "holding", "travel", axes, height=520)],
         "From an active holding limit to an active travel limit",
         "Each box has the line style of its holding limit. As H grows, uOpt's box rises until it meets the travel "
         "limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
@@ -312,9 +322,7 @@ def holding_boxes(fronts: Mapping[str, al.results.Front]) -> Drawing:
 def decision_path(fronts: Mapping[str, al.results.Front]) -> Drawing:
     """Spring and damper along fronts."""
     lowest = float(fronts["dOpt"].points[0].problem.placements.decisions["k_s.mean"].decision.lower)
-    axes = {"x": "Damper, mean bₛ (N s/m)", "y": "Spring, mean kₛ (N/m)", "bound_unit": "m"}
-    bound = {"lower": lowest, "lower_text": f"lower bound of kₛ, {number(lowest)} N/m"}
-    figure = reporting.decision_path_figure(fronts, "b_s.mean", "k_s.mean", **axes, **bound)
+    figure = decision_path_figure(fronts, lowest)
     caption = (
         "Along figure 6.5 mainly the damper changes; the spring leaves its lower bound only at the tightest holding "
         "limits. Labels: the tightest limit that each design reaches."
