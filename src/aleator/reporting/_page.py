@@ -71,7 +71,7 @@ class Table:
     note: str = ""
 
     def __post_init__(self) -> None:
-        for i, row in enumerate(self.rows):
+        for i, row in enumerate(members(f"Table '{self.caption}': rows", self.rows, Sequence)):
             what = f"Table '{self.caption}': row {i}"
             if len(members(what, row, str)) != len(self.header):
                 raise refusal(what, f"{len(self.header)} texts, one a column", row)
