@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Level = Literal["good", "caution", "bad"]
 # Points of a curve of a chosen design: there and back, of a band.
-_POINTS = 160
+_POINTS = 120
 
 
 @final
