@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Level = Literal["good", "caution", "bad"]
 # Points of a curve of a chosen design: there and back, of a band.
-_POINTS = 160
+_POINTS = 120
 
 
 @final
@@ -71,7 +71,7 @@ class Table:
     note: str = ""
 
     def __post_init__(self) -> None:
-        for i, row in enumerate(self.rows):
+        for i, row in enumerate(members(f"Table '{self.caption}': rows", self.rows, Sequence)):
             what = f"Table '{self.caption}': row {i}"
             if len(members(what, row, str)) != len(self.header):
                 raise refusal(what, f"{len(self.header)} texts, one a column", row)

@@ -13,18 +13,9 @@ import numpy as np
 
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
+from aleator.reporting import _fronts, _tables
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
-from aleator.reporting._fronts import (
-    evidence_on,
-    front_figure,
-    front_table,
-    pair_figure,
-    points_of,
-    rates_of,
-    shadow_price_figure,
-    trade_off_table,
-)
 from aleator.reporting._numbers import units_of_moments, words
 from aleator.reporting._page import (
     Block,
@@ -44,16 +35,6 @@ from aleator.reporting._paths import trajectory_figure
 from aleator.reporting._solutions import mesh_drawing, over_time, search_drawings
 from aleator.reporting._spreads import percentile_figure
 from aleator.reporting._store import provenance
-from aleator.reporting._tables import (
-    certificate_table,
-    designs_table,
-    evidence_table,
-    objective_text,
-    rows_of,
-    solution_document,
-    statistics_table,
-    status_words,
-)
 from aleator.solution import Solution
 from aleator.sweep import SAME, EvidenceOfAll, Front, Refused, TradeOff
 from aleator.uncertainty import placements
@@ -99,7 +80,7 @@ def report(
     shown = [*designs.values(), *(point for one in swept.values() for point in one.solutions)]
     checked = [one for each in _named(along, EvidenceOfAll).values() for one in each.by_place.items()]
     for place, one in checked:
-        if not any(evidence_on(point, [one]) for point in shown):
+        if not any(_fronts.evidence_on(point, [one]) for point in shown):
             raise ProblemError(
                 f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
                 "shown: expected al.validate_all(front) of a front among `fronts`."
@@ -137,11 +118,11 @@ def sections(
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     paths, counted = evidence_sections(evidence)
     every = [
-        Section("Designs", [*failed, *_motions(designs), designs_table(designs, evidence)]),
+        Section("Designs", [*failed, *_motions(designs), _tables.designs_table(designs, evidence)]),
         paths,
         trade_offs_section(designs, fronts, [*along, *evidence.values()]),
         counted,
-        Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
+        Section("Certificate", [_tables.certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
@@ -210,8 +191,8 @@ def _counted(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
             sentences = [each.sentence() for each in one.compared]
             yield Text(sentences, lead=f"{name}: limits on statistics, by the samples.")
     if evidence:
-        yield evidence_table(evidence)
-        yield from filter(None, [statistics_table(evidence)])
+        yield _tables.evidence_table(evidence)
+        yield from filter(None, [_tables.statistics_table(evidence)])
     told = "Whiskers: 5 to 95 % of the systems; boxes: 25 to 75 %, with the median; dashed: the mean."
     units = {text: unit for one in evidence.values() for text, unit in units_of_moments(one.solution.problem).items()}
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
@@ -237,12 +218,12 @@ def choice(
     - `evidence`: on this design; `wishes`: their values and rates, where the objective is a weighted sum of wishes.
     """
     if isinstance(point, Refused):
-        return Choice(name, [Table("Certificate", ["", ""], [["Status", status_words(point)]], point.reason)])
-    rows = list(rows_of(solution_document(point, evidence)))
+        return Choice(name, [Table("Certificate", ["", ""], [["Status", _tables.status_words(point)]], point.reason)])
+    rows = list(_tables.rows_of(_tables.solution_document(point, evidence)))
     alarms = [] if evidence is None or evidence.agrees else [evidence.alarm()]
     alarms += [one.sentence() for one in evidence.compared] if evidence else [_UNCHECKED]
 
-    achieved = wishes or {str(point.problem.objective): objective_text(point)}
+    achieved = wishes or {str(point.problem.objective): _tables.objective_text(point)}
 
     def facts(caption: str, *kinds: str, note: str = "") -> Table:
         return Table(caption, ["", ""], [[row.label, row.text] for row in rows if row.kind in kinds], note)
@@ -275,7 +256,8 @@ def front_blocks(
             f"design. Crosses on the axis: no design meets all limits there. The shadow price is what relaxing {bound} "
             "is worth: zero where it is not active."
         )
-        figures, heading = [front_figure(group), shadow_price_figure(group)], f"Optimum against the limit of {bound}"
+        heading = f"Optimum against the limit of {bound}"
+        figures = [_fronts.front_figure(group), _fronts.shadow_price_figure(group)]
         blocks.append(linked_front(group, figures, heading, caption, evidence=known, recommended=recommended))
     return blocks
 
@@ -294,14 +276,16 @@ def linked_front(
     - `figures`: of all these fronts in the same order, by `front_figure` or `shadow_price_figure`; `evidence`: on some
       of the designs; `recommended`: the design to build: the one nearest to it is shown first.
     """
-    known, points = list(evidence), points_of(fronts)
+    known, points = list(evidence), _fronts.points_of(fronts)
     choices = [
-        choice(f"{before}{front.bound}: {bound}", point, evidence_on(point, known))
+        choice(f"{before}{front.bound}: {bound}", point, _fronts.evidence_on(point, known))
         for before, bound, front, point in points
     ]
     doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
     chosen = _nearest([point for *_, point in points], recommended)
-    return Linked(figures, heading, front_table(fronts, known), choices, chosen, " ".join([caption, *doubts]), number)
+    return Linked(
+        figures, heading, _fronts.front_table(fronts, known), choices, chosen, " ".join([caption, *doubts]), number
+    )
 
 
 def trade_off_blocks(
@@ -313,12 +297,12 @@ def trade_off_blocks(
     for name, front in fronts.items():
         if not front.solutions:
             continue
-        table, choices = trade_off_table(front, f"Designs of {name}"), []
+        table, choices = _fronts.trade_off_table(front, f"Designs of {name}"), []
         for place, (row, one) in enumerate(zip(table.rows, front.solutions, strict=True)):
             wishes = dict(zip(front.names, row, strict=False))
             title = ", ".join(f"{wish}: {value}" for wish, value in wishes.items())
-            choices.append(choice(title, one, evidence_on(one, known), wishes | rates_of(front, place)))
-        figures = [pair_figure(front, *pair) for pair in combinations(range(len(front.names)), 2)]
+            choices.append(choice(title, one, _fronts.evidence_on(one, known), wishes | _fronts.rates_of(front, place)))
+        figures = [_fronts.pair_figure(front, *pair) for pair in combinations(range(len(front.names)), 2)]
         first = _nearest(front.solutions, recommended)
         blocks.append(Linked(figures, f"Trade-off: {name}", table, choices, first, caption))
     return blocks
@@ -349,14 +333,14 @@ def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) 
     """Where a design and a point of a front solve the same problem, but one is better: the other is a local optimum."""
     sentences = []
     for name, design in designs.items():
-        for _, bound, front, point in points_of(fronts):
+        for _, bound, front, point in _fronts.points_of(fronts):
             if not (design.ok and isinstance(point, Solution) and point.ok and point.problem == design.problem):
                 continue
             gap = abs(design.objective - point.objective)
             if gap > SAME * max(abs(design.objective), abs(point.objective)):
+                both = f"{_tables.objective_text(design)} and {_tables.objective_text(point)}"
                 sentences.append(
-                    f"'{name}' and the front at {front.bound} = {bound} are optima of one problem, "
-                    f"{objective_text(design)} and {objective_text(point)}: the higher one is local, and neither need "
-                    "be the least. al.multistart and al.portfolio look for others."
+                    f"'{name}' and the front at {front.bound} = {bound} are optima of one problem, {both}: the higher "
+                    "one is local, and neither need be the least. al.multistart and al.portfolio look for others."
                 )
     return sentences

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import numpy as np
 
-from aleator._core.border import meant, shown
+from aleator._core.border import meant, refusal, shown
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, problem_rows
 from aleator.dynamics import AbstractSystem
@@ -59,7 +59,9 @@ class Figures:
 
 def plots_of(result: Any) -> Figures:
     """The figures of a result, by its type."""
-    kind = next(kind for kind in type(result).__mro__ if kind in _FIGURES)
+    kind = next((kind for kind in type(result).__mro__ if kind in _FIGURES), None)
+    if kind is None:
+        raise refusal("plot", "a result whose figures are registered", result)
     return Figures(result, _FIGURES[kind])
 
 

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import given, number, percent, share_text, unit_of
 from aleator.reporting._page import Table
@@ -108,6 +110,12 @@ def differences(checked: CrossChecked) -> "Figure":
     multipliers = {f"multiplier of {text}": value for text, value in checked.multipliers.items()}
     groups = {"objective": {"objective": checked.objective}, "decisions": checked.decisions}
     groups |= {"statistics": checked.statistics, "multipliers": multipliers}
-    drawn = bars_figure({kind: one for kind, one in groups.items() if one}, y="Relative difference")
+    # On a logarithmic axis none and an infinite one have no bar.
+    bars = {
+        kind: {name if 0 < size < np.inf else f"{name}: {number(size)}": size for name, size in sizes.items()}
+        for kind, sizes in groups.items()
+        if sizes
+    }
+    drawn = bars_figure(bars, y="Relative difference")
     limit_line(drawn.update_yaxes(type="log"), checked.tolerance, f"accepted: {given(checked.tolerance)}")
     return drawn
