@@ -160,20 +160,20 @@ EVERY: dict[str, dict[str, Entry]] = {
             "The same arm follows a motion exactly, and its torques vary with the payload (inverse dynamics). For "
             "which margin does no payload overload a joint?",
             "Both torques for all payloads, between their limits.",
-            lambda: study("pick-and-place-time", "Torques of the robust plans", 1),
+            lambda: study("pick-and-place-time", "Torques, robust, a = √3"),
         ),
         "swing-up": Entry(
             "Swing-up of a double pendulum",
             "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean ends upright, "
             "and the spread of the tip is bounded.",
             "The motor's torque for 200 pendulums: mean, standard deviation and range.",
-            lambda: study("swing-up", "Torque over time"),
+            lambda: study("swing-up", "Torques, robust, expected torque"),
         ),
         "four-bar": Entry(
             "A straight-line linkage",
             "Lengths, tolerances and clearances of Hoeken's linkage, at the lowest cost for which all but a few keep "
             "the tool in its zone.",
-            "The tool's deviation from the line, of 400 linkages of the apportioned design (aOpt).",
+            "The tool's deviation from the line, of random linkages of the apportioned design (aOpt).",
             lambda: study("four-bar", "Deviation from the line", 3),
         ),
     },

@@ -11,6 +11,7 @@ import scipy
 import shown_results as shown
 
 import aleator as al
+from aleator.reporting import mesh_figure
 from aleator.reporting._paths import limits_of
 
 
@@ -99,13 +100,12 @@ def test_histories_are_those_of_random_systems_at_the_decisions():
 def test_states_costates_and_meshes_are_those_of_a_simultaneous_program():
     solution = given.collocated()
     for figure, found in (
-        (solution.plot.state("v"), solution.mesh_states),
-        (solution.plot.costate("v"), solution.costates),
+        (solution.mesh_states.plot.state("v"), solution.mesh_states),
         (solution.costates.plot.costate("v"), solution.costates),
     ):
         drawn = numbers(figure.data[-1].y).reshape(len(found.germs), -1)[:, :-1]
         np.testing.assert_allclose(drawn, found["v"], rtol=1e-5, atol=1e-6)
-    assert len(solution.plot.mesh().data) > len(solution.mesh.plot.mesh().data) > 0
+    assert len(mesh_figure(solution.meshes).data) > len(solution.mesh.plot.mesh().data) > 0
 
 
 def test_evidence_shows_sampled_moments_beside_expanded_ones_and_the_histories():

@@ -11,7 +11,7 @@ import shown_results as shown
 import aleator as al
 from aleator import ProblemError
 from aleator.reporting import front_blocks, report, share_text, trade_off_blocks
-from aleator.reporting._linked import choice
+from aleator.reporting._report import choice
 
 
 def facts(choice, caption):

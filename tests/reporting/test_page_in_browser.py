@@ -100,7 +100,7 @@ def test_a_click_on_a_point_and_arrow_keys_show_one_design_after_another(browser
     # The band is that of the chosen design, with its own limit.
     mean, limits, said = browser.execute_script(
         "const p = document.querySelector('.linked .chosen .plot');"
-        "return [p.data.at(-1).y, p.layout.shapes.map(s => s.y0), p.layout.annotations[0].text]"
+        "return [Array.from(p._fullData.at(-1).y), p.layout.shapes.map(s => s.y0), p.layout.annotations[0].text]"
     )
     assert mean == pytest.approx(front.solutions[2].moments["back(t)"].mean, abs=2e-3)
     assert limits == [0.2]

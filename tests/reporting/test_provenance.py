@@ -14,7 +14,7 @@ import xarray
 import aleator as al
 from aleator.reporting import design_digest, page_html, provenance, report, save
 from aleator.reporting._first_screen import proposal
-from aleator.reporting._numbers import unit_of_decision, unit_of_expression, units_of_moments
+from aleator.reporting._numbers import unit_of, unit_of_decision, units_of_moments
 from aleator.reporting._page import Page
 
 
@@ -138,7 +138,7 @@ UNITS = [
 
 
 def test_units_follow_from_those_of_outputs(crane):
-    assert {str(one): unit_of_expression(one, crane) for one, _ in UNITS} == {str(one): unit for one, unit in UNITS}
+    assert {str(one): unit_of(one, crane) for one, _ in UNITS} == {str(one): unit for one, unit in UNITS}
 
 
 def test_functionals_and_decisions_have_their_units(crane):

@@ -8,10 +8,11 @@ import pytest
 import aleator as al
 from aleator import extending as ext
 from aleator.studies import load
-from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _elimination, driven
-from aleator.studies.four_bar._chapter import ALLOCATED, COUNT_UNITS, DESIGNS, NOMINAL, PUBLISHED, ROBUST, TARGET
-from aleator.studies.four_bar._elimination import count_linkages, crank_angles, posture, posture_of
+from aleator.studies._shared import TARGET
+from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, driven
+from aleator.studies.four_bar._chapter import ALLOCATED, HOEKEN, NOMINAL, ROBUST
 from compiling import compiled
+from four_bar_elimination import count_linkages, crank_angles, posture, posture_of
 
 PLAYS, SEATS = {"crank": 0.05, "rocker": 0.08}, {"crank": (0.3, -0.4), "rocker": (-0.6, 0.2)}
 BARS = ("crank", "coupler", "rocker")
@@ -68,21 +69,6 @@ def test_counts_find_the_published_linkage_within_its_published_error():
     assert counts.largest[0] == pytest.approx(0.00096 * 400 / 2, abs=0.15)
 
 
-def test_every_batch_of_linkages_is_drawn_anew(monkeypatch: pytest.MonkeyPatch):
-    drawn, draw = [], _elimination.drawn_postures
-
-    def noted(*given, **named):
-        drawn.append(draw(*given, **named))
-        return drawn[-1]
-
-    monkeypatch.setattr(_elimination, "AT_ONCE", 4)
-    monkeypatch.setattr(_elimination, "drawn_postures", noted)
-    count_linkages(LENGTHS, WIDTHS, 10)
-    heights = [one.tool[:, 0, 1] for one in drawn]
-    assert [len(one) for one in heights] == [4, 4, 2]
-    assert len(np.unique(np.concatenate(heights))) == 10
-
-
 @pytest.fixture(scope="module")
 def page():
     """The page of a quick run."""
@@ -93,14 +79,14 @@ def page():
 
 @pytest.fixture(scope="module")
 def counts(page):
-    """The numbers stored of each count, and the proportion of linkages that leave the zone."""
-    stored = page.kept["counts"]
-    numbers = {
-        str(name): {key: stored[key].sel(design=name).item() for key in COUNT_UNITS}
-        for name in stored["zone"]["design"].values
+    """The linkages of the published and of each design, counted by elimination."""
+    decided = {name: one.decisions for name, one in page.kept["designs"].items()}
+    sizes = {HOEKEN: (LENGTHS, WIDTHS)} | {
+        name: ({part: one[f"{part}.nominal"] for part in LENGTHS}, {width: one[width] for width in WIDTHS})
+        for name, one in decided.items()
     }
-    outside = {name: al.results.Proportion(one["outside"], one["linkages"]) for name, one in numbers.items()}
-    return {name: one["zone"] for name, one in numbers.items()}, outside
+    found = {name: count_linkages(*one, 100_000) for name, one in sizes.items()}
+    return {name: one.zone for name, one in found.items()}, {name: one.outside for name, one in found.items()}
 
 
 @pytest.mark.slow
@@ -117,12 +103,12 @@ def test_the_mean_linkage_is_at_least_as_straight_as_the_published_one(page):
 @pytest.mark.slow
 def test_the_designs_hold_on_fresh_linkages_which_elimination_counts_as_well(page, counts):
     designs, evidence, (zones, outside) = page.kept["designs"], page.kept["evidence"], counts
-    for name in DESIGNS:
+    for name in (NOMINAL, ROBUST, ALLOCATED):
         assert designs[name].ok, designs[name].why()
         assert evidence[name].agrees
     # The objective itself, sampled by elimination with the same random numbers: mean and spread at each place.
-    assert zones[ROBUST] < zones[NOMINAL] < zones[PUBLISHED]
-    assert outside[ROBUST].estimate <= outside[NOMINAL].estimate < outside[PUBLISHED].estimate
+    assert zones[ROBUST] < zones[NOMINAL] < zones[HOEKEN]
+    assert outside[ROBUST].estimate <= outside[NOMINAL].estimate < outside[HOEKEN].estimate
     assert evidence[ROBUST].joint.upper <= TARGET
     assert evidence[NOMINAL].violation("stroke", "transmission").lower > 0.5
     # The cheapest tolerances: at the margin the zone sampled by elimination is that of the program.

@@ -11,7 +11,7 @@ import pytest
 import aleator as al
 from aleator.reporting import page_html
 from aleator.studies import Draft, load, swing_up
-from aleator.studies._motion import TARGET as TOLERATED
+from aleator.studies._shared import TARGET as TOLERATED
 from aleator.studies.pick_and_place_effort._chapter import ROBUST
 from aleator.studies.pick_and_place_time._chapter import MEAN, ONE, REFERENCE, WORST
 from aleator.studies.swing_up._chapter import EXPECTED

@@ -8,7 +8,7 @@ import pytest
 
 import aleator as al
 from aleator.reporting import interval
-from aleator.studies._motion import TARGET, to_build
+from aleator.studies._shared import TARGET, to_build
 from zoo import STRESS, bar_problem
 
 SAID = {"labels": {"width": "a width of"}, "who": "samples", "objective": "mass"}

@@ -2,7 +2,7 @@
 `aleator compare` sets the designs of several side by side.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,16 +13,13 @@ from aleator.cli._folder import RECORD, Record, staleness
 from aleator.cli._terminal import Terminal
 from aleator.journalling import examined, listing, numbered, recalling
 from aleator.reporting import (
-    NOTHING,
     PAGE,
-    Table,
     by_place,
     design_digest,
+    documents_table,
     json_text,
-    percent,
-    side_by_side,
+    rows_of,
     solution_document,
-    values_text,
     words,
     write_page,
 )
@@ -93,7 +90,7 @@ def compare(terminal: Terminal, folders: list[Path]) -> int:
         own = dict(zip(runs, names, strict=True))
         row = compared[name] = {label: runs[label].get(own[label] or "") for label in runs}
         called = {f"{label}: {own[label]}" if own[label] not in (None, name) else label: row[label] for label in runs}
-        terminal.table(designs_table(name, called))
+        terminal.table(documents_table(name, called))
         differences[name] = {other: _differing(row[first], row[other]) for other in others}
         for other, differing in differences[name].items():
             if differing is None:
@@ -138,27 +135,10 @@ def _differing(first: Mapping[str, Any] | None, other: Mapping[str, Any] | None)
     if first is None or other is None:
         return None
     whole, another = (
-        {label: exact for label, _, exact in _rows_of(one)}
+        {row.label: row.exact for row in rows_of(one) if row.exact is not None}
         | {"constraints": one["constraints"], "the problem": one["problem"]}
         for one in (first, other)
     )
     labels = [label for label in {**whole, **another} if whole.get(label) != another.get(label)]
     # The digest is of decisions, objective and equations together.
     return labels or ["the equations of the model"] * (first["digest"] != other["digest"])
-
-
-def designs_table(caption: str, designs: Mapping[str, Mapping[str, Any] | None]) -> Table:
-    """Documents of designs side by side; None where there is no design."""
-    columns = {name: {label: text for label, text, _ in _rows_of(one)} if one else {} for name, one in designs.items()}
-    return side_by_side(caption, columns)
-
-
-def _rows_of(design: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Status, decisions, objective, and how often limits break: the label of each, as text and exactly."""
-    yield "Status", design["status"].partition(":")[0], design["status"]
-    for name, number in [*design["decisions"].items(), ("Objective", design["objective"])]:
-        value, unit = number["value"], number["unit"]
-        yield name, NOTHING if value is None else values_text(value, 6, unit), (value, unit)
-    for limit, share in design.get("evidence", {}).get("violations", {}).items():
-        text = f"{percent(share['estimate'])} [{percent(share['lower'])} to {percent(share['upper'])}]"
-        yield f"Systems that violate {'any limit' if limit == 'any' else limit}", text, share

@@ -8,11 +8,10 @@ from aleator import studies
 from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._folder import RECORD, Record, staleness
-from aleator.cli._kept_runs import designs_table
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
-from aleator.reporting import evidence_document, evidence_table, solution_document
+from aleator.reporting import documents_table, evidence_document, evidence_table, solution_document
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies import AbstractStudy, Check, executor_of, problems_of
@@ -79,7 +78,7 @@ def validate(terminal: Terminal, place: str, samples: int, seed: int, design: st
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=documents)
     if evidence:
         sampled = {name: solution_document(one.solution, one) for name, one in evidence.items()}
-        terminal.table(designs_table("Designs", sampled))
+        terminal.table(documents_table("Designs", sampled))
         terminal.table(evidence_table(evidence))
     return 0 if len(evidence) == len(documents) else FAILED
 

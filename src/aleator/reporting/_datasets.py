@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from typing_extensions import TypeIs
@@ -11,20 +11,15 @@ from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, functionals_of, path_of, statistics_in
 from aleator.dynamics import LinkedGrid, phase_of
-from aleator.reporting._numbers import (
-    unit_of_decision,
-    unit_of_expression,
-    unit_of_functional,
-    unit_of_limit,
-    unit_of_objective,
-    unit_of_statistic,
-)
+from aleator.reporting._numbers import unit_of, unit_of_decision, unit_of_limit
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import PERCENTILES, Evidence, Share
 
 if TYPE_CHECKING:
     import xarray
+
+Arrays = dict[str, Any]
 
 # This halves time histories; stronger compression takes longer and saves little more.
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
@@ -58,52 +53,24 @@ def dataset(result: Any) -> Any:
     return result
 
 
-@final
-class _Arrays:
-    """The arrays of a dataset, as they are added: name, axes, values, and what they are in which unit."""
+def _array(axes: Any, values: Any, unit: str = "", **more: str) -> Any:
+    """A variable of a dataset: its axes, its values, their unit, and more of its attributes."""
+    array = np.asarray(values)
+    return axes, array, {"units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
 
-    def __init__(self) -> None:
-        self._arrays: dict[str, Any] = {}
 
-    def add(self, name: str, axes: Any, values: Any, about: str, unit: str = "", **more: str) -> None:
-        array = np.asarray(values)
-        packing = _PACKED if array.size > 1000 else {}
-        self._arrays[_key(name)] = axes, array, {"long_name": about, "units": unit or "1", **more}, packing
+def _dataset(
+    arrays: Arrays, attributes: Mapping[str, Any], solution: Solution | None = None, **coordinates: Any
+) -> Any:
+    """A dataset of arrays by name; `solution`: whose instants times are."""
+    import xarray
 
-    def add_decisions(self, along: str, solutions: Sequence[Any], first: Solution) -> None:
-        """The decisions of several solutions along an axis; NaN for what is none."""
-        for name, value in first.decisions.items():
-            each = [
-                np.asarray(one.decisions[name] if isinstance(one, Solution) else np.nan, float) for one in solutions
-            ]
-            # A control has as many values as its mesh has nodes: the rest of shorter ones is NaN.
-            shape = np.max([one.shape for one in each if one.ndim == np.ndim(value)], axis=0).astype(int)
-            stacked = np.full((len(each), *shape), np.nan)
-            for i, one in enumerate(each):
-                stacked[(i, *map(slice, one.shape))] = one
-            axes = (along, *_entries(name, value))
-            self.add(f"decision {name}", axes, stacked, name, unit_of_decision(name, first.problem))
-
-    def add_shares(self, axis: str, shares: Sequence[Share]) -> None:
-        """Shares of systems that violate, with their intervals."""
-        level = f"{100 * shares[0].confidence:g} %" if shares else ""
-        self.add("violation", axis, [one.estimate for one in shares], "share of systems that violate")
-        self.add("violation_lower", axis, [one.lower for one in shares], f"lower end of its {level} interval")
-        self.add("violation_upper", axis, [one.upper for one in shares], f"upper end of its {level} interval")
-
-    def dataset(
-        self, attributes: Mapping[str, Any], solution: Solution | None = None, **coordinates: Any
-    ) -> "xarray.Dataset":
-        """The dataset of the arrays, some of which may be coordinates; `solution`: whose instants times are."""
-        import xarray
-
-        coordinates |= {name: self._arrays.pop(name) for name in coordinates if name in self._arrays}
-        data = xarray.Dataset(self._arrays, coords=coordinates, attrs=attributes)
-        for phase in () if solution is None else solution.problem.simulation.phases:
-            if (time := _time(phase)) in data.dims:
-                instants = solution.instants[solution.problem.grid.where(f"{phase}.")]  # type: ignore[union-attr]
-                data = data.assign_coords({time: (time, instants, {"long_name": time, "units": "s"})})
-        return data
+    data = xarray.Dataset({_key(name): array for name, array in arrays.items()}, coordinates, attributes)
+    for phase in () if solution is None else solution.problem.simulation.phases:
+        if (time := _time(phase)) in data.dims:
+            instants = solution.instants[solution.problem.grid.where(f"{phase}.")]  # type: ignore[union-attr]
+            data = data.assign_coords({time: (time, instants, {"long_name": time, "units": "s"})})
+    return data
 
 
 def _key(text: str) -> str:
@@ -133,44 +100,44 @@ def _axes(problem: Problem, one: Any, values: Any) -> tuple[str, ...]:
     return (_time(phase_of(path) if isinstance(problem.grid, LinkedGrid) else ""), *_components(shape[1:]))
 
 
+# --- One design ------------------------------------------------------------------------------------------------------
+
+
 @dataset.register(Solution)
 def _(solution: Solution) -> "xarray.Dataset":
     """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
-    problem, arrays = solution.problem, _Arrays()
-    objective_unit = unit_of_objective(problem)
-    arrays.add("objective", (), solution.objective, str(problem.objective), objective_unit)
+    problem, objective_unit = solution.problem, unit_of(solution.problem.objective, solution.problem)
+    arrays: Arrays = {"objective": _array((), solution.objective, objective_unit, long_name=str(problem.objective))}
     for name, value in solution.decisions.items():
         axes, multiplier = _entries(name, value), solution.bound_multipliers.get(name, np.nan)
-        arrays.add(f"decision {name}", axes, value, name, unit_of_decision(name, problem))
-        arrays.add(f"multiplier {name}", axes, multiplier, f"multiplier of the bounds of {name}")
+        arrays[f"decision {name}"] = _array(axes, value, unit_of_decision(name, problem))
+        arrays[f"multiplier {name}"] = _array(axes, multiplier)
     for i, (limit, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
-        unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {limit.name}"
-        axes = _axes(problem, declared, limit.values)
+        unit, label = unit_of(declared.expression, problem), f"constraint {i} {limit.name}"
+        axes, ends = _axes(problem, declared, limit.values), {"lower": f"{limit.lower:g}", "upper": f"{limit.upper:g}"}
         if limit.times is not None and len(limit.times) > len(solution.instants):  # Limits on a mesh have more instants
             axes = ("point of limits", *axes[1:])
-            arrays.add("times of limits", axes[0], limit.times, "instants of limits over time", "s")
-        arrays.add(label, axes, limit.values, limit.text, unit, lower=f"{limit.lower:g}", upper=f"{limit.upper:g}")
-        arrays.add(f"{label} multiplier", axes, limit.multipliers, "minus the objective per bound")
-        arrays.add(f"{label} active", axes, np.asarray(limit.active, dtype=np.int8), "1 where active")
+            arrays["times of limits"] = _array(axes[0], limit.times, "s")
+        arrays[label] = _array(axes, limit.values, unit, long_name=limit.text, **ends)
+        arrays[f"{label} multiplier"] = _array(axes, limit.multipliers)
+        arrays[f"{label} active"] = _array(axes, np.asarray(limit.active, dtype=np.int8))
     functionals = {one.text(): one for one in functionals_of(problem.expressions)}
     for text, moments in solution.moments.items():
-        axes, unit = _axes(problem, functionals[text], moments.mean), unit_of_functional(functionals[text], problem)
-        arrays.add(f"mean {text}", axes, moments.mean, f"mean of {text} by the expansion", unit)
-        arrays.add(f"std {text}", axes, moments.std, f"standard deviation of {text} by the expansion", unit)
-    for statistic in statistics_in(problem.expressions):
-        if not statistic.is_moment:
-            text, unit = statistic.text(), unit_of_statistic(statistic, problem)
-            axes = _axes(problem, statistic.functionals[0], solution.statistics[text])
-            arrays.add(f"statistic {text}", axes, solution.statistics[text], f"{text} by the expansion", unit)
+        axes, unit = _axes(problem, functionals[text], moments.mean), unit_of(functionals[text], problem)
+        arrays[f"mean {text}"] = _array(axes, moments.mean, unit)
+        arrays[f"std {text}"] = _array(axes, moments.std, unit)
+    for one in statistics_in(problem.expressions):
+        if not one.is_moment:
+            values = solution.statistics[one.text()]
+            axes = _axes(problem, one.functionals[0], values)
+            arrays[f"statistic {one.text()}"] = _array(axes, values, unit_of(one, problem))
     for i, mesh in enumerate(solution.meshes, 1):
-        arrays.add(f"mesh {i}", f"node of mesh {i}", mesh.nodes, f"nodes of mesh {i}, {mesh.scheme}", "s")
-        axes, about = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
-        arrays.add(f"mesh {i} drift", axes, mesh.drifts, about, asked=f"{mesh.asked:g}")
+        arrays[f"mesh {i}"] = _array(f"node of mesh {i}", mesh.nodes, "s", long_name=str(mesh.scheme))
+        axes = f"realisation of mesh {i}", f"interval of mesh {i}"
+        arrays[f"mesh {i} drift"] = _array(axes, mesh.drifts, asked=f"{mesh.asked:g}")
     if (searched := solution.effort.searched) is not None:
-        about = f"by {searched.method}"
-        arrays.add("searched objective", "evaluation", searched.objectives, about, objective_unit)
-        arrays.add("searched violation", "evaluation", searched.violations, "largest violation")
-    _add_histories(arrays, solution)
+        arrays["searched objective"] = _array("evaluation", searched.objectives, objective_unit)
+        arrays["searched violation"] = _array("evaluation", searched.violations)
     attributes = {
         "status": solution.status.value,
         "solver": solution.effort.solver,
@@ -179,87 +146,92 @@ def _(solution: Solution) -> "xarray.Dataset":
         "complementarity": solution.certificate.complementarity,
         "problem": solution.problem_text,
     }
-    return arrays.dataset(attributes, solution)
+    return _dataset(arrays | _histories(solution), attributes, solution)
 
 
-def _add_histories(arrays: _Arrays, solution: Solution) -> None:
+def _histories(solution: Solution) -> Arrays:
     """States, costates and switching functions of a simultaneous program, each along its own instants."""
     kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
+    arrays: Arrays = {}
     for kind, histories in kinds.items():
         if histories is None:
             continue
         for name, values in histories.values.items():
             of = f" of {phase_of(name)}" if histories.phases else ""
-            points = f"point of {kind}s{of}"
-            arrays.add(f"times of {kind}s{of}", points, histories.times_of(name), f"instants of {kind}s{of}", "s")
-            along = (points,) if histories is solution.switching else ("realisation", points)
-            arrays.add(
-                f"{kind} {name}", (*along, *_components(values.shape[len(along) :])), values, f"{kind} of {name}"
-            )
+            along = f"point of {kind}s{of}"
+            arrays[f"times of {kind}s{of}"] = _array(along, histories.times_of(name), "s")
+            axes = (along,) if histories is solution.switching else ("realisation", along)
+            arrays[f"{kind} {name}"] = _array((*axes, *_components(values.shape[len(axes) :])), values)
     if solution.mesh_states is not None:
-        axes = ("realisation", "germ variable")
-        arrays.add("germ", axes, solution.mesh_states.germs, "germ points of the realisations")
+        arrays["germ"] = _array(("realisation", "germ variable"), solution.mesh_states.germs)
+    return arrays
 
 
 @dataset.register(Evidence)
 def _(evidence: Evidence) -> "xarray.Dataset":
     """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
-    problem, arrays = evidence.solution.problem, _Arrays()
-    shares = {**evidence.violations, "any": evidence.joint}
-    arrays.add_shares("limit", list(shares.values()))
+    problem, shares = evidence.solution.problem, {**evidence.violations, "any": evidence.joint}
+    arrays = _shares("limit", list(shares.values()))
     functionals = {one.text(): one for one in functionals_of(problem.expressions)}
     for text, sampled in evidence.functionals.items():
-        axes, unit = _axes(problem, functionals[text], sampled.mean), unit_of_functional(functionals[text], problem)
+        axes, unit = _axes(problem, functionals[text], sampled.mean), unit_of(functionals[text], problem)
         parts = {"sampled mean": sampled.mean, "sampled std": sampled.std, "standard error": sampled.standard_error}
-        for part, values in parts.items():
-            arrays.add(f"{part} {text}", axes, values, f"{part} of {text}", unit)
+        arrays |= {f"{part} {text}": _array(axes, values, unit) for part, values in parts.items()}
         if sampled.percentiles is not None:
-            arrays.add(f"percentiles {text}", "percent", sampled.percentiles, f"percentiles of {text}", unit)
+            arrays[f"percentiles {text}"] = _array("percent", sampled.percentiles, unit)
     for text, sampled in evidence.statistics.items():
-        unit = unit_of_statistic(sampled.statistic, problem)
-        arrays.add(f"sampled {text}", (), sampled.estimate, f"{text} of the samples", unit)
-        arrays.add(f"standard error {text}", (), sampled.standard_error, f"standard error of {text}", unit)
+        unit = unit_of(sampled.statistic, problem)
+        arrays[f"sampled {text}"] = _array((), sampled.estimate, unit)
+        arrays[f"standard error {text}"] = _array((), sampled.standard_error, unit)
     limits = {one.name: one for one in problem.constraints if one.is_path}
     for i, kept in enumerate(evidence.trajectories):
-        axes, label = ("system", *_axes(problem, limits[kept.name], kept.values[0])), f"trajectory {i}"
-        unit, bounds = unit_of_limit(kept.name, problem), {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
-        arrays.add(f"{label} {kept.name}", axes, kept.values, f"sampled systems: {kept.name}", unit, **bounds)
-        broken = np.asarray(kept.violating, dtype=np.int8)
-        arrays.add(f"{label} violating", "system", broken, f"1 if the system violates {kept.name}")
-    attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
-    if evidence.instants is not None:
-        attributes["instants"] = evidence.instants
-    return arrays.dataset(attributes, evidence.solution, limit=list(shares), percent=list(PERCENTILES))
+        axes, unit = _axes(problem, limits[kept.name], kept.values[0]), unit_of_limit(kept.name, problem)
+        ends = {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
+        arrays[f"trajectory {i} {kept.name}"] = _array(("system", *axes), kept.values, unit, **ends)
+        arrays[f"trajectory {i} violating"] = _array("system", np.asarray(kept.violating, dtype=np.int8))
+    attributes = {name: getattr(evidence, name) for name in ("samples", "seed", "seconds", "instants")}
+    attributes = {name: value for name, value in attributes.items() if value is not None}
+    return _dataset(arrays, attributes, evidence.solution, limit=list(shares), percent=list(PERCENTILES))
+
+
+def _shares(axis: str, shares: Sequence[Share]) -> Arrays:
+    """Shares of systems that violate, with their intervals."""
+    ends = {"confidence": f"{shares[0].confidence:g}"} if shares else {}
+    return {
+        "violation": _array(axis, [one.estimate for one in shares]),
+        "violation_lower": _array(axis, [one.lower for one in shares], **ends),
+        "violation_upper": _array(axis, [one.upper for one in shares], **ends),
+    }
+
+
+# --- Many designs ----------------------------------------------------------------------------------------------------
 
 
 @dataset.register(Front)
 def _(front: Front) -> "xarray.Dataset":
     """Objective, shadow price, status and decisions along the values of a bound."""
-    first, arrays = front.solutions[0], _Arrays()
-    bound_unit, unit = unit_of_limit(front.bound, first.problem), unit_of_objective(first.problem)
+    problem = front.solutions[0].problem
+    bound_unit, unit = unit_of_limit(front.bound, problem), unit_of(problem.objective, problem)
     price_unit = f"{unit or '1'} per {bound_unit or '1'}"
-    active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
-    why = ["" if one.ok else one.why() for one in front.points]
-    arrays.add("bound", "bound", front.values, f"limit of {front.bound}", bound_unit)
-    arrays.add("objective", "bound", front.objectives, str(first.problem.objective), unit)
-    arrays.add("shadow_price", "bound", front.shadow_prices, f"shadow price of {front.bound}", price_unit)
-    arrays.add("violation", "bound", front.violations, "scaled violation")
-    arrays.add("status", "bound", [one.status.name for one in front.points], "how each solve ended")
-    arrays.add("active", "bound", active, "active constraints")
-    arrays.add("why", "bound", why, "why there is no optimum")
-    arrays.add_decisions("bound", front.points, first)
-    return arrays.dataset({"interrupted": int(front.interrupted)}, bound=None)
+    arrays = {
+        "objective": _array("bound", front.objectives, unit, long_name=str(problem.objective)),
+        "shadow_price": _array("bound", front.shadow_prices, price_unit),
+        "violation": _array("bound", front.violations),
+        "status": _array("bound", [one.status.name for one in front.points]),
+        "active": _array("bound", [", ".join(getattr(one, "active", ())) for one in front.points]),
+        "why": _array("bound", ["" if one.ok else one.why() for one in front.points]),
+    }
+    bound = _array("bound", front.values, bound_unit, long_name=f"limit of {front.bound}")
+    return _dataset(arrays | _decisions("bound", front.points), {"interrupted": int(front.interrupted)}, bound=bound)
 
 
 @dataset.register(Calibration)
 def _(calibration: Calibration) -> "xarray.Dataset":
     """Objective and violation for each margin tried; the chosen one, and its violation on fresh samples."""
-    trials, arrays = sorted(calibration.trials, key=lambda trial: trial.sigmas), _Arrays()
-    unit = unit_of_objective(trials[0].solution.problem)
-    arrays.add_shares("sigmas", [trial.violation for trial in trials])
-    objectives = [trial.solution.objective for trial in trials]
-    arrays.add("objective", "sigmas", objectives, "optimum at this margin", unit)
-    arrays.add("sigmas", "sigmas", [trial.sigmas for trial in trials], "multiple of the standard deviation")
+    trials, problem = sorted(calibration.trials, key=lambda trial: trial.sigmas), calibration.solution.problem
+    objectives, unit = [trial.solution.objective for trial in trials], unit_of(problem.objective, problem)
+    arrays = _shares("sigmas", [trial.violation for trial in trials])
+    arrays["objective"] = _array("sigmas", objectives, unit)
     attributes = {
         "constraint": calibration.name,
         "target": calibration.target,
@@ -272,19 +244,37 @@ def _(calibration: Calibration) -> "xarray.Dataset":
     if (fresh := calibration.confirmation) is not None:
         attributes |= {"fresh": fresh.estimate, "fresh_lower": fresh.lower, "fresh_upper": fresh.upper}
         attributes |= {"fresh_samples": fresh.samples, "fresh_confidence": fresh.confidence}
-    return arrays.dataset(attributes, sigmas=None)
+    return _dataset(arrays, attributes, sigmas=[trial.sigmas for trial in trials])
 
 
 @dataset.register(TradeOff)
 def _(front: TradeOff) -> "xarray.Dataset":
     """The wishes, their weights and the decisions at each design."""
-    first, arrays = front.solutions[0], _Arrays()
+    arrays: Arrays = {}
     for i, (name, wish) in enumerate(zip(front.names, front.wishes, strict=True)):
-        arrays.add(f"wish {name}", "design", front.values[:, i], str(wish), unit_of_expression(wish, first.problem))
-        arrays.add(f"weight {name}", "design", front.weights[:, i], f"how much {name} counts")
-    arrays.add_decisions("design", front.solutions, first)
+        unit = unit_of(wish, front.solutions[0].problem)
+        arrays[f"wish {name}"] = _array("design", front.values[:, i], unit, long_name=str(wish))
+        arrays[f"weight {name}"] = _array("design", front.weights[:, i])
     attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
-    return arrays.dataset(attributes)
+    return _dataset(arrays | _decisions("design", front.solutions), attributes)
+
+
+def _decisions(along: str, points: Sequence[Any]) -> Arrays:
+    """The decisions of several solutions along an axis; NaN for what is none."""
+    solved, arrays = [one for one in points if isinstance(one, Solution)], dict[str, Any]()
+    for name, value in solved[0].decisions.items():
+        # A control has as many values as its mesh has nodes: the rest of shorter ones is NaN.
+        shape = np.max([np.shape(one.decisions[name]) for one in solved], axis=0).astype(int)
+        stacked = np.full((len(points), *shape), np.nan)
+        for i, one in enumerate(points):
+            if isinstance(one, Solution):
+                stacked[(i, *map(slice, np.shape(one.decisions[name])))] = one.decisions[name]
+        unit = unit_of_decision(name, solved[0].problem)
+        arrays[f"decision {name}"] = _array((along, *_entries(name, value)), stacked, unit)
+    return arrays
+
+
+# --- What can be saved -----------------------------------------------------------------------------------------------
 
 
 def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
@@ -295,7 +285,7 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
         "/".join(["", *map(_key, names)]): dataset(result)
         for names, result in leaves(results)
         # A front may have been interrupted before its first point.
-        if result is not None and not (isinstance(result, Front) and not result.solutions)
+        if result is not None and not (isinstance(result, Front | TradeOff) and not result.solutions)
     }
     return xarray.DataTree.from_dict(nodes)
 

@@ -71,8 +71,13 @@ _STAGED, _ALONE = ".aleator-staged-", ".aleator-file-"
 
 _ADVICE = "the files last written there are kept. Free some space, or name another place."
 
-# The longest path shown in a message.
-_SHOWN = 200
+
+def as_path(path: Any) -> Path:
+    """The path of a file or a folder. Raises `ProblemError` for anything else."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise ProblemError(f"Expected the path of a file or a folder. Received {path!r}.") from None
 
 
 def check_writable(folder: str | Path) -> Path:
@@ -96,18 +101,15 @@ def write_whole(path: str | Path, write: Callable[[Path], object]) -> Path:
     If the process is killed in between, the earlier file stays. Raises `ProblemError` if the file cannot be written.
     """
     path = as_path(path)
-    folder = check_writable(path.parent)
-    temporary = None
+    folder, temporary = check_writable(path.parent), None
     try:
-        _refuse_folder(path)
         temporary = _temporary(folder, _ALONE, path.suffix)
         write(temporary)
         _finish(temporary)
         temporary.replace(path)
         _sync(folder)
     except (OSError, ValueError) as error:
-        shown = str(path) if len(str(path)) <= _SHOWN else f"{str(path)[:_SHOWN]}…"
-        raise ProblemError(f"'{shown}' cannot be written ({_reason(error)}): {_ADVICE}") from error
+        raise ProblemError(f"'{path}' cannot be written ({_reason(error)}): {_ADVICE}") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -135,7 +137,8 @@ def write_together(folder: str | Path, files: Mapping[str, bytes | None]) -> tup
         _clear(folder)
         try:
             for name, content in files.items():
-                _refuse_folder(folder / name)
+                if (folder / name).is_dir():
+                    raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder")
                 if content is not None:
                     staged[name] = _temporary(folder, _STAGED, "")
                     staged[name].write_bytes(content)
@@ -180,21 +183,18 @@ def _finish(file: Path) -> None:
     mask = os.umask(0o022)  # `mkstemp` does not follow it, and it can only be read by setting it
     os.umask(mask)
     file.chmod(0o666 & ~mask)
-    _flush(file, os.O_RDWR)
+    with file.open("r+b") as opened:
+        os.fsync(opened)
 
 
 def _sync(folder: Path) -> None:
     """Flush a folder's names to disk before anything that follows."""
     if os.name == "posix":  # elsewhere a folder cannot be opened
-        _flush(folder, os.O_RDONLY)
-
-
-def _flush(path: Path, how: int) -> None:
-    handle = os.open(path, how)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _clear(folder: Path) -> None:
@@ -204,23 +204,10 @@ def _clear(folder: Path) -> None:
             file.unlink()
 
 
-def _refuse_folder(path: Path) -> None:
-    if path.is_dir():
-        raise ProblemError(f"'{path}' is a folder; expected the path of a file.")
-
-
 def _refused(folder: Path, error: Exception) -> ProblemError:
     return ProblemError(
         f"The folder '{folder}' cannot be written to ({_reason(error)}): name another folder for the results."
     )
-
-
-def as_path(path: Any) -> Path:
-    """The path of a file or a folder. Raises `ProblemError` for anything else."""
-    try:
-        return Path(path)
-    except TypeError:
-        raise ProblemError(f"Expected the path of a file or a folder. Received {path!r}.") from None
 
 
 def _reason(error: Exception) -> str:

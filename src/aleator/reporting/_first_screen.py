@@ -9,18 +9,9 @@ from aleator._core.border import meant
 from aleator._core.errors import ProblemError
 from aleator.design import value, value_at
 from aleator.nlp import Status
-from aleator.reporting._numbers import (
-    count,
-    given,
-    interval,
-    number,
-    percent,
-    unit_of_decision,
-    unit_of_objective,
-    words,
-)
+from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_decision, words
 from aleator.reporting._page import Verdict
-from aleator.reporting._tables import unresolved
+from aleator.reporting._tables import objective_text
 from aleator.solution import Solution
 from aleator.uncertainty import fields_of
 from aleator.validation import Evidence, Share
@@ -97,20 +88,23 @@ def recommendation(
     if not design.ok:
         return Verdict("bad", "Not solved", f"No design to build: {design.why()}", sentences)
     share = confirmation if confirmation is not None or evidence is None or not evidence.violations else evidence.joint
-    cost = "" if nominal is None else f"{objective} {_objective(design)} instead of {_objective(nominal)}".lstrip()
-    rows = [
-        ("Build", "; ".join(f"{label} {text}" for label, text in _toleranced(design, labels))),
-        ("Achieves", f"{objective or f'{design.problem.objective} ='} {_objective(design)}"),
-        ("Limits broken", "; ".join(_broken(evidence, share, target, who))),
-        ("Other limits", "; ".join(one.sentence() for one in evidence.compared) if evidence else ""),
-        ("Cost", cost),
-        ("Not verified", "; ".join([*_open(design, evidence), *not_verified])),
-    ]
-    told: Any = {"sentences": sentences, "rows": [(name, text) for name, text in rows if text]}
-    if coarse := unresolved({"design": design}):
-        ((text, error),) = coarse.values()
-        said = f"Do not build yet: means and spreads of {text} are off by {percent(error)} of the spread."
-        return Verdict("bad", "Not resolved", said, **told)
+    achieved = objective_text(design, 4)
+    cost = "" if nominal is None else f"{objective} {achieved} instead of {objective_text(nominal, 4)}".lstrip()
+    rows = {
+        "Build": [f"{label} {text}" for label, text in _decided(design, labels, toleranced=True)],
+        "Achieves": [f"{objective or f'{design.problem.objective} ='} {achieved}"],
+        "Limits broken": _broken(evidence, share, target, who),
+        "Other limits": [one.sentence() for one in evidence.compared] if evidence else [],
+        "Cost": [cost],
+        "Not verified": [*_open(design, evidence), *not_verified],
+    }
+    texts = [(name, "; ".join(parts)) for name, parts in rows.items()]
+    told: Any = {"sentences": sentences, "rows": [(name, text) for name, text in texts if text]}
+    quality = design.certificate.expansion
+    if quality.points > 1 and quality.unresolved:
+        worst = max(quality.unresolved, key=lambda text: quality.leave_one_out[text])
+        missed = f"{worst}{quality.since(worst)} are off by {percent(quality.leave_one_out[worst])} of the spread."
+        return Verdict("bad", "Not resolved", f"Do not build yet: means and spreads of {missed}", **told)
     if evidence is not None and not evidence.agrees:
         return Verdict("bad", "Contradicted", f"Do not build: {evidence.alarm()}", **told)
     if evidence is None and share is None:
@@ -133,26 +127,23 @@ def _named(design: Solution, labels: Mapping[str, str]) -> str:
     return ", ".join(f"{label} {text}" for label, text in _decided(design, labels))
 
 
-def _decided(design: Solution, labels: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """The decisions with labels, each with its number and unit."""
-    for name, label in labels.items():
-        value, unit = np.asarray(design.decisions[name], float), unit_of_decision(name, design.problem)
-        yield label, number(float(value), 4, unit) if value.ndim == 0 else f"{value.size} numbers"
-
-
-def _toleranced(design: Solution, labels: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """The same with the tolerances that are assumed, or chosen: `1643 ± 250 N s/m`."""
+def _decided(design: Solution, labels: Mapping[str, str], toleranced: bool = False) -> Iterator[tuple[str, str]]:
+    """The decisions with labels, each with its number and unit; and with the tolerance that is assumed, or chosen:
+    `1643 ± 250 N s/m`.
+    """
     parameters = {place: getattr(one, "parameters", {}) for place, _, one in fields_of(design.problem.system)}
-    for (name, label), (_, text) in zip(labels.items(), _decided(design, labels), strict=True):
+    for name, label in labels.items():
+        at, unit = np.asarray(design.decisions[name], float), unit_of_decision(name, design.problem)
         field, _, kind = name.rpartition(".")
-        spread = next((one for one in _SPREADS if one in parameters.get(field, {}) and one != kind), None)
-        if spread is None or kind in _SPREADS:
-            yield label, text
-            continue
-        number_at, unit = float(design.decisions[name]), unit_of_decision(name, design.problem)
-        size = value_at(value(f"{field}.{spread}"), design.problem, design.vector)
-        said = " (standard deviation)" if spread == "std" else ""
-        yield label, f"{number(number_at, 4)} ± {number(size, 3, unit)}{said}"
+        spread = next((one for one in _SPREADS if one in parameters.get(field, {})), None)
+        if at.ndim:
+            yield label, f"{at.size} numbers"
+        elif not toleranced or spread is None or kind in _SPREADS:
+            yield label, number(float(at), 4, unit)
+        else:
+            size = value_at(value(f"{field}.{spread}"), design.problem, design.vector)
+            said = " (standard deviation)" if spread == "std" else ""
+            yield label, f"{number(float(at), 4)} ± {number(size, 3, unit)}{said}"
 
 
 def _frequency(share: Share, target: float, who: str, compared: Mapping[str, Evidence]) -> str:
@@ -174,25 +165,19 @@ def _of(base: int, share: float) -> str:
 
 def _broken(evidence: Evidence | None, share: Share | None, target: float, who: str) -> Iterator[str]:
     """Each limit with the share that breaks it, its interval, and the target."""
-    aimed = f"{given(100 * target)}\u202f%"
     if evidence is not None:
-        for limit, one in evidence.violations.items():
-            yield f"{limit} {percent(one.estimate)} [{interval(one)}]"
+        yield from (f"{limit} {share_text(one)}" for limit, one in evidence.violations.items())
     if share is not None:
-        fresh = f"of {count(share.samples)} fresh {who}"
-        yield f"any {percent(share.estimate)} [{interval(share)}] {fresh}, target {aimed}"
-
-
-def _objective(design: Solution) -> str:
-    return number(design.objective, 4, unit_of_objective(design.problem))
+        yield f"any {share_text(share)} of {count(share.samples)} fresh {who}, target {given(100 * target)}\u202f%"
 
 
 def _rougher(design: Solution, nominal: Solution, objective: str, change: tuple[str, str]) -> str:
     """What the design costs beside the nominal one: `Ride is 3.9 % rougher.`"""
-    relative = design.objective / nominal.objective - 1
-    if abs(relative) < 5e-4:
+    more, size = design.objective - nominal.objective, abs(nominal.objective)
+    if abs(more) <= 5e-4 * size:
         return f"{objective.capitalize()} is the same."
-    return f"{objective.capitalize()} is {number(100 * abs(relative), 2)}\u202f% {change[relative < 0]}."
+    relative = f"{number(100 * abs(more) / size, 2)}\u202f% " if size else ""
+    return f"{objective.capitalize()} is {relative}{change[more < 0]}."
 
 
 def _open(design: Solution, evidence: Evidence | None) -> Iterator[str]:

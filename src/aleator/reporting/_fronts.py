@@ -1,5 +1,6 @@
-"""Figures, tables and facts of fronts: what lies along a bound."""
+"""Figures and tables of fronts: what lies along a bound, or between wishes."""
 
+import html
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -9,23 +10,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
 from aleator.design import Problem
 from aleator.reporting._numbers import (
     NOTHING,
     given,
     number,
     share_text,
+    unit_of,
     unit_of_decision,
     unit_of_limit,
-    unit_of_objective,
     words,
 )
 from aleator.reporting._page import Table
-from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of
+from aleator.reporting._showing import Facts, chosen, facts_of, figure
 from aleator.reporting._style import (
-    DASHES,
-    LIMIT,
+    FONT,
+    GRID,
+    INK,
     MUTED,
     SIZE,
     Look,
@@ -34,12 +35,11 @@ from aleator.reporting._style import (
     label,
     limit_line,
     looks,
-    padded,
     plain,
 )
 from aleator.reporting._tables import objective_text, status_words
 from aleator.solution import Solution
-from aleator.sweep import Front, Refused
+from aleator.sweep import Front, Refused, TradeOff
 from aleator.validation import Evidence
 
 if TYPE_CHECKING:
@@ -51,6 +51,9 @@ _FLAT = 1e-6
 _WRAPPED = 60
 # The part of the range of a front between its points and the crosses below them.
 _STEP = 0.07
+
+
+# --- Along a bound ---------------------------------------------------------------------------------------------------
 
 
 def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
@@ -68,9 +71,13 @@ def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
     return ordered
 
 
-def bound_unit(front: Front) -> str:
-    """The unit of the bound along which a front lies."""
+def _bound_unit(front: Front) -> str:
     return unit_of_limit(front.bound, front.points[0].problem)
+
+
+def _objective_unit(front: Front) -> str:
+    problem = front.points[0].problem
+    return unit_of(problem.objective, problem)
 
 
 def front_figure(
@@ -81,16 +88,14 @@ def front_figure(
     x_unit: str = "",
     y_unit: str = "",
     limits: Mapping[str, float] = MappingProxyType({}),
-    infeasible: Mapping[str, Front] = MappingProxyType({}),
 ) -> "Figure":
     """The optimum against the bound, one line for each front; axes without a name have those of the problem.
 
-    A marker is filled where the swept bound is active and open where it is not. Points without a
-    solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
-    `infeasible` shades the bounds at which another design does not exist.
+    A marker is filled where the swept bound is active and open where it is not. Points without a solution are crosses
+    on the axis; their hover text says what cannot be met. `limits` are drawn as lines.
     """
-    objective = "Objective", unit_of_objective(next(iter(fronts.values())).points[0].problem)
-    figure = _over_bound(fronts, (x, x_unit), (y, y_unit) if y else objective)
+    first = next(iter(fronts.values()))
+    drawn = _over_bound(first, (x, x_unit), (y, y_unit) if y else ("Objective", _objective_unit(first)))
     values = [one.objective for front in fronts.values() for one in front.optima if one] + [*limits.values()]
     low, high = min(values, default=0.0), max(values, default=1.0)
     if high - low <= _FLAT * max(abs(low), abs(high)):
@@ -99,19 +104,16 @@ def front_figure(
     for name, (front, places) in in_order(fronts).items():
         look = looks(fronts)[name]
         # A filled marker, whatever the first point's marker is.
-        draw(figure, [None], [None], look, name=name, legendgroup=plain(name))
+        draw(drawn, [None], [None], look, name=name, legendgroup=plain(name))
         texts = {"text": [_point_text(front, one) for one in front.points], "showlegend": False}
-        _add_points(figure, name, front, look, front.objectives, places, hover="%{text}", **texts)
+        _add_points(drawn, name, front, look, front.objectives, places, hover="%{text}", **texts)
         if not front.solved.all():
-            _add_infeasible(figure, name, front, look, low - step * rows, places)
+            _add_infeasible(drawn, name, front, look, low - step * rows, places)
             rows += 1
-    # Leaves room below the data for the label of the shaded band.
-    figure.update_yaxes(range=[low - step * (rows + bool(infeasible)), high + step])
+    drawn.update_yaxes(range=[low - step * rows, high + step])
     for text, value in limits.items():
-        limit_line(figure, value, text)
-    for name, front in infeasible.items():
-        _shade_infeasible(figure, name, front)
-    return figure
+        limit_line(drawn, value, text)
+    return drawn
 
 
 def shadow_price_figure(
@@ -119,22 +121,21 @@ def shadow_price_figure(
 ) -> "Figure":
     """The value of relaxing a bound: the multiplier along each front, times `scale`; axes as of `front_figure`."""
     first = next(iter(fronts.values()))
-    unit, by = unit_of_objective(first.points[0].problem), bound_unit(first)
-    price = "Shadow price of the bound", f"{unit or '1'} per {by}" if by else ""
-    figure = _over_bound(fronts, (x, x_unit), (y, y_unit) if y else price, height=360)
+    by = _bound_unit(first)
+    price = "Shadow price of the bound", f"{_objective_unit(first) or '1'} per {by}" if by else ""
+    drawn = _over_bound(first, (x, x_unit), (y, y_unit) if y else price, height=360)
     for name, (front, places) in in_order(fronts).items():
-        _add_points(figure, name, front, looks(fronts)[name], scale * front.shadow_prices, places, cliponaxis=False)
-    return figure.update_yaxes(rangemode="tozero")
+        _add_points(drawn, name, front, looks(fronts)[name], scale * front.shadow_prices, places, cliponaxis=False)
+    return drawn.update_yaxes(rangemode="tozero")
 
 
-def _over_bound(fronts: Mapping[str, Front], x: tuple[str, str], y: tuple[str, str], height: int = 420) -> "Figure":
-    """An empty figure over the bound of some fronts, which is called as in the problem where `x` has no name."""
-    first = next(iter(fronts.values()))
-    return blank(label(*(x if x[0] else (f"Limit of {first.bound}", bound_unit(first)))), label(*y), height=height)
+def _over_bound(front: Front, x: tuple[str, str], y: tuple[str, str], height: int = 420) -> "Figure":
+    """An empty figure over the bound of a front, which is called as in the problem where `x` has no name."""
+    return blank(label(*(x if x[0] else (f"Limit of {front.bound}", _bound_unit(front)))), label(*y), height=height)
 
 
 def _add_points(
-    figure: "Figure",
+    drawn: "Figure",
     name: str,
     front: Front,
     look: Look,
@@ -148,7 +149,7 @@ def _add_points(
     active = [isinstance(one, Solution) and one.multiplier(front.bound) > 0 for one in front.points]
     symbols = [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
     marks = {"marker_symbol": symbols, "marker_line_width": 2, "marker_line_color": look.colour}
-    draw(figure, front.values, values, look, name=name, legendgroup=plain(name), meta=places, **marks, **style)
+    draw(drawn, front.values, values, look, name=name, legendgroup=plain(name), meta=places, **marks, **style)
 
 
 def _point_text(front: Front, point: Solution | Refused) -> str:
@@ -161,7 +162,7 @@ def _point_text(front: Front, point: Solution | Refused) -> str:
     return "<br>".join(map(plain, [f"active: {active}", f"shadow price of the bound {price} per unit", *decisions]))
 
 
-def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, places: list[int]) -> None:
+def _add_infeasible(drawn: "Figure", name: str, front: Front, look: Look, height: float, places: list[int]) -> None:
     """Points without a solution, on the axis, each with the reason."""
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     last, middle = max(missing, key=lambda i: front.values[i]), (front.values.min() + front.values.max()) / 2
@@ -174,102 +175,33 @@ def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, heigh
     shown = {"name": f"{name}: no design exists", "showlegend": False, "cliponaxis": False}
     marks = {"mode": "markers+text", "meta": [places[i] for i in missing]}
     heights, look = [height] * len(missing), Look(look.colour, "x")
-    draw(figure, front.values[missing], heights, look, **shown, **marks, **written, **over)
+    draw(drawn, front.values[missing], heights, look, **shown, **marks, **written, **over)
 
 
-def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
-    """A band over the bounds at which a design does not exist, up to the middle of the next interval."""
-    missing = front.values[~front.solved]
-    if not len(missing):
-        return
-    gap = float(np.min(np.abs(np.diff(np.sort(front.values))))) / 2 if len(front.values) > 1 else 0.0
-    low, high = float(missing.min()) - gap, float(missing.max()) + gap
-    figure.add_vrect(x0=low, x1=high, fillcolor=MUTED, opacity=0.13, line_width=0)
-    place = {"x": high, "y": 0.02, "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
-    font = {"size": SIZE - 1, "color": LIMIT}
-    figure.add_annotation(text=f"◄ no {plain(name)} exists here", showarrow=False, font=font, **place)
+@figure(Front)
+def curve(front: Front) -> "Figure":
+    """The optimum against the bound: filled where it is active; crosses where there is no design."""
+    return front_figure({"design": front})
 
 
-def decision_path_figure(
-    fronts: Mapping[str, Front],
-    across: str,
-    up: str,
-    *,
-    x: str,
-    y: str,
-    bound_unit: str = "",
-    lower: float | None = None,
-    lower_text: str = "",
-) -> "Figure":
-    """Two decisions against each other along each front (figure 6.8); the rightmost end is labelled with its bound."""
-    figure = blank(plain(x), plain(y))
-    for name, (front, _) in in_order(fronts).items():
-        look = looks(fronts)[name]
-        solved = [(value, one) for value, one in zip(front.values, front.optima, strict=True) if one]
-        xs, ys = ([float(one.decisions[key]) for _, one in solved] for key in (across, up))
-        bounds = [given(float(f"{value:.4g}"), bound_unit) for value, _ in solved]
-        # Labels at both ends of several fronts would overlap.
-        texts = [text if place == max(xs) else "" for place, text in zip(xs, bounds, strict=True)]
-        marks = {"line_width": 1.5, "marker_symbol": f"{look.symbol}-open", "marker_size": 10, "marker_line_width": 2}
-        written = {"text": texts, "textposition": "middle left", "textfont": {"size": SIZE - 2, "color": look.colour}}
-        over = {"customdata": bounds, "hover": f"{plain(front.bound)} limit: %{{customdata}}", "cliponaxis": False}
-        draw(figure, xs, ys, look, name=name, mode="lines+markers+text", **over, **marks, **written)
-    if lower is not None:
-        limit_line(figure, lower, lower_text, dash="dot", under=True)
-        reached = [float(one.decisions[up]) for front in fronts.values() for one in front.optima if one]
-        figure.update_yaxes(range=padded([lower, *reached], 0.12))
-    return figure.update_yaxes(tickformat=",d")
+@figure(Front)
+def shadow_prices(front: Front) -> "Figure":
+    """By what the optimum falls for each unit by which the bound is relaxed."""
+    return shadow_price_figure({"design": front})
 
 
-def relative_figure(front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "") -> "Figure":
-    """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
-    (front, _), figure = in_order({"": front})[""], blank(label(x, x_unit), plain(y))
-    places = front.solutions[0].problem.placements.designed
-    for (name, text), look, dash in zip(names.items(), looks(names).values(), DASHES, strict=False):
-        values = np.array([float(one.decisions[name]) if one else np.nan for one in front.optima])
-        over = {"customdata": [number(one) for one in values], "hover": "%{customdata}", "line_dash": dash}
-        draw(figure, front.values, 100 * values / float(places[name].decision.initial), look, name=text, **over)
-    limit_line(figure, 100.0, "initial value (100 %)")
-    _shade_infeasible(figure, "design", front)
-    return figure.update_yaxes(rangemode="tozero")
-
-
-@plots_of.register(Front)
-class FrontPlots(AbstractPlots[Front]):
-    """Figures of a front along a bound."""
-
-    def curve(self) -> "Figure":
-        """The optimum against the bound: filled where it is active; crosses where there is no design."""
-        return front_figure({"design": self._solved("plot.curve")})
-
-    def shadow_prices(self) -> "Figure":
-        """By what the optimum falls for each unit by which the bound is relaxed."""
-        return shadow_price_figure({"design": self._solved("plot.shadow_prices")})
-
-    def decision(self, name: str | None = None) -> "Figure":
-        """A decision against the bound, of an array each entry; by default the first."""
-        (front, _) = in_order({"": self._solved("plot.decision")})[""]
-        problem, nothing = front.solutions[0].problem, "expected a decision; received none."
-        name, place = chosen("plot.decision", name, problem.placements.designed, nothing)
-        figure = _over_bound({"": front}, ("", ""), (name, unit_of_decision(name, problem)))
-        shape = np.shape(place.decision.initial)
-        entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
-        missing = np.full(len(entries), np.nan)
-        rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
-        for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
-            draw(figure, front.values, column, look, name=entry, marker_size=8)
-        return figure.update_layout(showlegend=len(entries) > 1)
-
-    def _solved(self, what: str) -> Front:
-        """The front. Raises `ProblemError` if it has no design."""
-        front = self._result
-        if not front.solved.any():
-            why = f": {front.points[0].why()}" if front.points else "."
-            raise ProblemError(f"{what}: expected a solved design; received none{why}")
-        return front
-
-
-# --- Tables of designs -----------------------------------------------------------------------------------------------
+@figure(Front)
+def decision(front: Front, name: str | None = None) -> "Figure":
+    """A decision against the bound, of an array each entry; by default the first."""
+    (front, _), problem = in_order({"": front})[""], front.points[0].problem
+    name, place = chosen("plot.decision", name, problem.placements.designed)
+    drawn = _over_bound(front, ("", ""), (name, unit_of_decision(name, problem)))
+    missing = np.full(np.size(place.decision.initial), np.nan)
+    rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
+    entries = [f"{name}[{i}]" for i in range(len(missing))] if np.ndim(place.decision.initial) else [name]
+    for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
+        draw(drawn, front.values, column, look, name=entry, marker_size=8)
+    return drawn.update_layout(showlegend=len(entries) > 1)
 
 
 def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
@@ -286,7 +218,7 @@ def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evid
 def points_of(fronts: Mapping[str, Front]) -> list[tuple[str, str, Front, Solution | Refused]]:
     """Each point of some fronts: the name of its front, if there are several, its bound, its front, and what it is."""
     return [
-        (f"{name}, " if len(fronts) > 1 else "", given(value, bound_unit(front)), front, point)
+        (f"{name}, " if len(fronts) > 1 else "", given(value, _bound_unit(front)), front, point)
         for name, front in fronts.items()
         for value, point in zip(front.values, front.points, strict=True)
     ]
@@ -295,12 +227,12 @@ def points_of(fronts: Mapping[str, Front]) -> list[tuple[str, str, Front, Soluti
 def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) -> Table:
     """A row for each point of some fronts along one bound: its optimum and decisions; why there is no design."""
     first = next(iter(fronts.values()))
-    decided = numbers_in(first.points[0].problem)
+    decided = _numbers_in(first.points[0].problem)
     rows, counted = [], []
     for before, bound, front, point in points_of(fronts):
         if isinstance(point, Solution) and point.ok:
-            price, active = number(point.multiplier(front.bound), 4), words(list(point.active), "nothing")
-            optimum = [objective_text(point), price, active, *decided_in(point, decided)]
+            price, active = number(point.multiplier(front.bound), 4), words(point.active, "nothing")
+            optimum = [objective_text(point), price, active, *_decided_in(point, decided)]
         else:
             status = status_words(point) if isinstance(point, Solution) else f"no design: {point.reason}"
             optimum = [status, *[NOTHING] * (2 + len(decided))]
@@ -313,12 +245,12 @@ def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) 
     return Table(f"Designs along the limit of {first.bound}", header, rows)
 
 
-def numbers_in(problem: Problem) -> list[str]:
+def _numbers_in(problem: Problem) -> list[str]:
     """The decisions that are single numbers."""
     return [name for name, place in problem.placements.designed.items() if np.ndim(place.decision.initial) == 0]
 
 
-def decided_in(point: Solution, names: Sequence[str]) -> list[str]:
+def _decided_in(point: Solution, names: Sequence[str]) -> list[str]:
     return [number(float(point.decisions[name]), 5, unit_of_decision(name, point.problem)) for name in names]
 
 
@@ -326,6 +258,110 @@ def decided_in(point: Solution, names: Sequence[str]) -> list[str]:
 def _(front: Front) -> Facts:
     solved, every = int(front.solved.sum()), len(front.points)
     heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
-    points = zip(front.values, front.points, strict=True)
-    reasons = [f"No design at {given(value, bound_unit(front))}: {one.why()}" for value, one in points if not one.ok]
+    reasons = [f"No design at {bound}: {one.why()}" for _, bound, _, one in points_of({"": front}) if not one.ok]
     return Facts(heading, " ".join(reasons), [front_table({"": front})])
+
+
+# --- Between wishes --------------------------------------------------------------------------------------------------
+
+
+def _units(front: TradeOff) -> list[str]:
+    """The units of the wishes; empty where they are unknown."""
+    return [unit_of(wish, front.solutions[0].problem) if front.solutions else "" for wish in front.wishes]
+
+
+def _labels(front: TradeOff) -> list[str]:
+    return [label(name, unit) for name, unit in zip(front.names, _units(front), strict=True)]
+
+
+def _wishes(front: TradeOff) -> list[list[str]]:
+    """The numbers of each design, in words."""
+    units = _units(front)
+    return [[number(float(one), 5, unit) for one, unit in zip(row, units, strict=True)] for row in front.values]
+
+
+def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
+    """Two wishes, by their places among `front.names`, against one another."""
+    drawn = blank(*(_labels(front)[i] for i in (first, second)))
+    look, (x, y) = looks(["design"])["design"], (front.values[:, i] for i in (first, second))
+    shown: dict[str, Any] = {"mode": "markers", "text": _texts(front), "hover": "%{text}"}
+    if len(front.names) == 2:
+        shown = {"line_color": look.fill(0.4), "line_width": 1.5}
+    draw(drawn, x, y, look, meta=list(range(len(x))), **shown)
+    return drawn.update_layout(showlegend=False)
+
+
+def _texts(front: TradeOff) -> list[str]:
+    """All wishes of each design, to be shown over its point."""
+    rows = [zip(map(plain, front.names), row, strict=True) for row in _wishes(front)]
+    return ["<br>".join(f"{name}: {one}" for name, one in row) for row in rows]
+
+
+@figure(TradeOff, "")
+def trade_off_figure(front: TradeOff) -> "Figure":
+    """Two wishes as a curve, three in space, more of them as parallel coordinates."""
+    return {2: trade_off_curve, 3: _space}.get(len(front.names), parallel)(front)
+
+
+@figure(TradeOff, "curve")
+def trade_off_curve(front: TradeOff, x: str | None = None, y: str | None = None) -> "Figure":
+    """Two wishes against one another, by their names; by default the first two."""
+    places = {name: i for i, name in enumerate(front.names)}
+    return pair_figure(front, *(chosen("plot.curve", name, places)[1] for name in (x, y or front.names[1])))
+
+
+def _space(front: TradeOff) -> "Figure":
+    """Three wishes as points in space."""
+    x, y, z = front.values.T
+    marker = {"size": 5, "color": z, "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}}
+    over = {"text": _texts(front), "hovertemplate": "%{text}<extra></extra>"}
+    drawn = blank("", "", height=560).add_scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, **over)
+    # There Plotly reads markup but no escaped characters.
+    titles = [html.unescape(text).replace("<", "‹").replace(">", "›") for text in _labels(front)]
+    shown = {"gridcolor": GRID, "linecolor": MUTED, "showbackground": False}
+    axes = {f"{axis}axis": {"title": {"text": text}} | shown for axis, text in zip("xyz", titles, strict=True)}
+    return drawn.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
+
+
+@figure(TradeOff)
+def parallel(front: TradeOff) -> "Figure":
+    """One axis for each wish, and one line for each design."""
+    drawn = blank("", "").add_parcoords(
+        dimensions=[{"label": text, "values": one} for text, one in zip(_labels(front), front.values.T, strict=True)],
+        line={"color": front.values[:, 0], "colorscale": "Cividis"},
+        labelfont={"size": SIZE, "family": FONT, "color": INK},
+    )
+    # Labels stand above the axes, and those of the outer ones reach beyond them.
+    return drawn.update_layout(margin={"t": 80, "l": 110, "r": 110})
+
+
+def trade_off_table(front: TradeOff, caption: str = "") -> Table:
+    """A row for each design of a trade-off: its wishes, then its decisions."""
+    decided = _numbers_in(front.solutions[0].problem) if front.solutions else []
+    pairs = zip(_wishes(front), front.solutions, strict=True)
+    return Table(caption, [*front.names, *decided], [[*row, *_decided_in(one, decided)] for row, one in pairs])
+
+
+def rates_of(front: TradeOff, place: int) -> dict[str, str]:
+    """By how much each other wish falls for one unit more of the first one, as long as changes are small.
+
+    At the best design of a wish the front ends: its multipliers need not be the slope of what is left of the front, and
+    the wish may not give way at all.
+    """
+    values = front.values
+    if np.any(values[place] <= values.min(axis=0)):
+        return {"Rates of exchange": "none at an end of the front"}
+    (first, *others), units = front.weights[place], _units(front)
+    buys = [
+        f"{number(first / weight, 4, units[i])} less of {front.names[i]}"
+        for i, weight in enumerate(others, start=1)
+        if weight > 0 and np.isfinite(first)
+    ]
+    return {f"Each {units[0] or 'unit'} more of {front.names[0]} buys": " or ".join(buys)} if buys else {}
+
+
+@facts_of.register(TradeOff)
+def _(front: TradeOff) -> Facts:
+    failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
+    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
+    return Facts(f"Trade-off of {words(front.names)}: {designs}", failed, [trade_off_table(front)])

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from aleator.reporting._style import ALARM, CLOUD, INK, LIMIT, SIZE, Look, blank, draw, label, legend_at, padded, short
+from aleator.reporting._style import ALARM, CLOUD, INK, LIMIT, SIZE, Look, blank, draw, label, legend_at, padded
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 # Instants and systems of an animation, and systems whose paths are drawn.
 _FRAMES, _SYSTEMS, _PATHS = 60, 25, 100
 Polyline = tuple[list[float | None], list[float | None]]
-_SHADE = "rgba(51,64,77,0.18)"
 
 
 class Scene(NamedTuple):
@@ -24,15 +23,12 @@ class Scene(NamedTuple):
     wall: float | None = None
 
 
-_EMPTY = Scene()
-
-
 def plane_figure(
     paths: Float[np.ndarray, "systems instants 2"],
     nominal: Float[np.ndarray, "instants 2"],
     *,
     look: Look,
-    scene: Scene = _EMPTY,
+    scene: Scene | None = None,
     target: Sequence[float] | None = None,
     broken: np.ndarray | None = None,
     title: str = "",
@@ -43,15 +39,13 @@ def plane_figure(
     """
     rows = paths[:_PATHS]
     bad = np.zeros(len(rows), bool) if broken is None else np.asarray(broken, bool)[:_PATHS]
-    figure = _plane(title, [rows, nominal], scene)
-    thin = {"line_width": 0.9, "opacity": 0.8}
+    figure = _plane(title, [rows, nominal], scene or Scene(), target)
     for chosen, name, colour in ((~bad, "within the limits", CLOUD), (bad, "violating", ALARM)):
         if chosen.any():
             counted = f"{name} ({int(chosen.sum())} of {len(bad)} drawn)"
-            draw(figure, *_strokes(rows[chosen]), colour, name=counted, mode="lines", hover=None, **thin)
-    x, y = short(nominal.T)
-    draw(figure, x, y, look, name="nominal system", mode="lines", line_width=2.5)
-    _add_cross(figure, target)
+            thin = {"name": counted, "line_width": 0.9, "opacity": 0.8}
+            draw(figure, *_strokes(rows[chosen]), colour, mode="lines", hover=None, **thin)
+    draw(figure, *_listed(nominal), look, name="nominal system", mode="lines", line_width=2.5)
     return figure
 
 
@@ -61,7 +55,7 @@ def linkage_animation(
     nominal: Float[np.ndarray, "instants joints 2"],
     *,
     look: Look,
-    scene: Scene = _EMPTY,
+    scene: Scene | None = None,
     target: Sequence[float] | None = None,
     title: str = "",
 ) -> "Figure":
@@ -70,22 +64,19 @@ def linkage_animation(
     - `joints`: positions of its joints, from the fixed one to the tip, m; the first 25 systems are shown;
     - `nominal`: the same for the nominal system, which is highlighted.
     """
-    from plotly.graph_objects import Frame
-
     chosen = np.unique(np.linspace(0, len(times) - 1, _FRAMES).round().astype(int))
     cloud, mechanism = np.moveaxis(joints[:_SYSTEMS], 1, 0)[chosen], nominal[chosen]
-    figure = _plane(title, [cloud, mechanism], scene, height=640)
+    figure = _plane(title, [cloud, mechanism], scene or Scene(), target, height=640)
     dotted = {"name": "path of the nominal tip", "line_dash": "dot", "line_width": 1.2}
     draw(figure, *_listed(nominal[:, -1]), look, mode="lines", hover=None, **dotted)
     many = {"name": f"{len(joints[:_SYSTEMS])} systems", "line_width": 1.2, "opacity": 0.8}
     draw(figure, *_strokes(cloud[0]), CLOUD, mode="lines", hover=None, **many)
     thick = {"name": "nominal system", "line_width": 5, "marker_line_color": "white", "marker_line_width": 1}
     draw(figure, *_listed(mechanism[0]), Look(look.colour, "circle"), **thick)
-    _add_cross(figure, target)
-    names = [f"{times[i]:.2f}" for i in chosen]
+    names, moving = [f"{times[i]:.2f}" for i in chosen], [len(figure.data) - 2, len(figure.data) - 1]  # type: ignore[arg-type]
     poses = [(_strokes(family), _listed(arm)) for family, arm in zip(cloud, mechanism, strict=True)]
     figure.frames = [
-        Frame(data=[{"x": x, "y": y, "type": "scatter"} for x, y in pose], traces=[1, 2], name=name)
+        {"data": [{"x": x, "y": y, "type": "scatter"} for x, y in pose], "traces": moving, "name": name}
         for pose, name in zip(poses, names, strict=True)
     ]
     _add_controls(figure, names, 1000 * float(times[-1] - times[0]) / len(names))
@@ -94,57 +85,49 @@ def linkage_animation(
 
 def _add_controls(figure: "Figure", names: Sequence[str], pause: float) -> None:
     """Play and pause below the plot, and a slider over the frames."""
-
-    def jump(duration: float) -> dict[str, Any]:
-        return {"frame": {"duration": duration, "redraw": False}, "transition": {"duration": 0}, "fromcurrent": True}
-
-    def below(top: int) -> dict[str, Any]:
-        return {"x": 0, "y": 0, "xanchor": "left", "yanchor": "top", "pad": {"t": top, "l": 6, "r": 6}}
-
-    still = {**jump(0), "mode": "immediate"}
+    still: dict[str, Any] = {"frame": {"duration": 0, "redraw": False}, "transition": {"duration": 0}}
+    playing = still | {"frame": {"duration": pause, "redraw": False}, "fromcurrent": True}
+    still["mode"] = "immediate"
     buttons = [
-        {"label": "▶ Play", "method": "animate", "args": [None, jump(pause)]},
+        {"label": "▶ Play", "method": "animate", "args": [None, playing]},
         {"label": "❚❚ Pause", "method": "animate", "args": [[None], still]},
     ]
-    instant = {"prefix": "t = ", "suffix": " s", "xanchor": "right", "offset": 4, "font": {"size": SIZE, "color": INK}}
+    place = {"x": 0, "y": 0, "xanchor": "left", "yanchor": "top"}
     slider = {
         **{"len": 1, "ticklen": 0, "minorticklen": 0, "font": {"color": "rgba(0,0,0,0)", "size": 1}},
-        "currentvalue": instant,
+        "currentvalue": {"prefix": "t = ", "suffix": " s", "xanchor": "right", "font": {"size": SIZE, "color": INK}},
         "steps": [{"label": name, "method": "animate", "args": [[name], still]} for name in names],
     }
     menu = {"type": "buttons", "direction": "right", "showactive": False, "buttons": buttons}
     # The legend of a figure with a title is below it, as the buttons are.
     figure.update_layout(margin={"b": 150}, legend=legend_at(is_below=False))
-    figure.update_layout(updatemenus=[menu | below(92)], sliders=[slider | below(42)])
+    figure.update_layout(updatemenus=[menu | place | {"pad": {"t": 92}}], sliders=[slider | place | {"pad": {"t": 42}}])
 
 
-def _plane(title: str, parts: Sequence[np.ndarray], scene: Scene, height: int = 520) -> "Figure":
-    """An empty plane with equal scales that contains some points, with its obstacles and its wall."""
-    xs, ys = ([edge(part[..., i]) for part in parts for edge in (np.min, np.max)] for i in (0, 1))
-    for x, y, radius in scene.discs:
-        xs, ys = [*xs, x - radius, x + radius], [*ys, y - radius, y + radius]
-    left, right = padded(xs if scene.wall is None else [*xs, scene.wall - 0.12], 0.05)
-    low, high = padded(ys, 0.05)
+def _plane(
+    title: str, parts: Sequence[np.ndarray], scene: Scene, target: Sequence[float] | None, height: int = 520
+) -> "Figure":
+    """A plane with equal scales that contains some points, with its obstacles, its wall and the target of the tip."""
+    discs = [np.add([(x, y)], radius * np.array([(-1, -1), (1, 1)])) for x, y, radius in scene.discs]
+    every = np.concatenate([np.reshape(part, (-1, 2)) for part in (*parts, *discs)])
+    left, right = padded([*every[:, 0], *([] if scene.wall is None else [scene.wall - 0.12])], 0.05)
+    low, high = padded(every[:, 1], 0.05)
     figure = blank(label("x", "m"), label("y", "m"), title=title, height=height)
     figure.update_xaxes(range=[left, right], constrain="domain")
     figure.update_yaxes(range=[low, high], scaleanchor="x", scaleratio=1, constrain="domain")
-    solid = {"fillcolor": _SHADE, "line_color": LIMIT, "layer": "below"}
-    note = {"showarrow": False, "font": {"size": SIZE - 2, "color": LIMIT}}
-    for x, y, radius in scene.discs:
-        ends = {"x0": x - radius, "x1": x + radius, "y0": y - radius, "y1": y + radius}
-        figure.add_shape(type="circle", **ends, **solid, line_width=1.3)
-        figure.add_annotation(x=x, y=y, text="obstacle", **note)
+    solid = {"fillcolor": "rgba(51,64,77,0.18)", "line_color": LIMIT, "layer": "below"}
+    written = {"font": {"size": SIZE - 2, "color": LIMIT}}
+    for (x0, y0), (x1, y1) in discs:
+        ends, said = {"x0": x0, "x1": x1, "y0": y0, "y1": y1}, written | {"text": "obstacle"}
+        figure.add_shape(type="circle", label=said, line_width=1.3, **ends, **solid)
     if scene.wall is not None:
-        figure.add_shape(type="rect", x0=left, x1=scene.wall, y0=low, y1=high, **solid, line_width=0)
-        figure.add_annotation(x=(left + scene.wall) / 2, y=(low + high) / 2, text="wall", textangle=-90, **note)
-    return figure
-
-
-def _add_cross(figure: "Figure", target: Sequence[float] | None) -> None:
+        ends, said = {"x0": left, "x1": scene.wall, "y0": low, "y1": high}, written | {"text": "wall", "textangle": -90}
+        figure.add_shape(type="rect", label=said, line_width=0, **ends, **solid)
     if target is not None:
-        x, y = ([float(one)] for one in target)
         thin = {"marker_symbol": "x-thin", "marker_size": 13, "marker_line_width": 2.5, "marker_line_color": INK}
+        x, y = ([float(one)] for one in target)
         draw(figure, x, y, INK, name="target of the tip", mode="markers", **thin)
+    return figure
 
 
 def _strokes(rows: Float[np.ndarray, "systems points 2"]) -> Polyline:

@@ -2,55 +2,29 @@
 
 import html
 import json
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import UnionType
-from typing import TYPE_CHECKING, Any, Literal, final, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
 
-from aleator._core.border import members, one_of, refusal
+from aleator._core.border import members, refusal
 from aleator.reporting._files import write_text
-from aleator.reporting._style import padded
+from aleator.reporting._style import padded, short
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Level = Literal["good", "caution", "bad"]
-# Digits of a curve of a chosen design, and its points: there and back, of a band.
-_DIGITS, _POINTS = 5, 160
-
-
-class AbstractPart:
-    """A part of a page, of which each field is checked when it is created: texts, and lists of what it is made of."""
-
-    def __post_init__(self) -> None:
-        title = getattr(self, "heading", "") or getattr(self, "caption", "") or getattr(self, "name", "")
-        for field in fields(self):  # type: ignore[arg-type]
-            what = f"{self.kind.capitalize()}{title and f' {title!r}'}: {field.name}"
-            kinds, value = field.type, getattr(self, field.name)
-            if kinds == "Sequence[Figure]":
-                from plotly.graph_objects import Figure
-
-                members(what, value, Figure)
-            elif get_origin(kinds) is Sequence:
-                (kind,) = get_args(kinds)
-                members(what, value, get_args(kind) if isinstance(kind, UnionType) else get_origin(kind) or kind)
-            elif isinstance(kinds, type):
-                one_of(what, value, kinds)
-
-    @property
-    def kind(self) -> str:
-        """What it is, for the template: `table`."""
-        return type(self).__name__.lower()
+# Points of a curve of a chosen design: there and back, of a band.
+_POINTS = 120
 
 
 @final
 @dataclass(frozen=True)
-class Verdict(AbstractPart):
+class Verdict:
     """The first screen: a mark and its word, one headline, rows of facts, a few sentences.
 
     - `rows`: what is said of the proposed design, each with its name.
@@ -63,14 +37,13 @@ class Verdict(AbstractPart):
     rows: Sequence[tuple[str, str]] = ()
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.level not in get_args(Level):
             raise refusal("Verdict: level", " or ".join(map(repr, get_args(Level))), self.level)
 
 
 @final
 @dataclass(frozen=True)
-class Text(AbstractPart):
+class Text:
     """Paragraphs of plain text; `lead` is set in bold before the first."""
 
     paragraphs: Sequence[str]
@@ -79,7 +52,7 @@ class Text(AbstractPart):
 
 @final
 @dataclass(frozen=True)
-class Code(AbstractPart):
+class Code:
     """Text in a fixed-width font, such as a problem printed as mathematics, collapsed unless `opened`."""
 
     heading: str
@@ -89,7 +62,7 @@ class Code(AbstractPart):
 
 @final
 @dataclass(frozen=True)
-class Table(AbstractPart):
+class Table:
     """A table of text; the first column names the rows."""
 
     caption: str
@@ -98,8 +71,7 @@ class Table(AbstractPart):
     note: str = ""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for i, row in enumerate(self.rows):
+        for i, row in enumerate(members(f"Table '{self.caption}': rows", self.rows, Sequence)):
             what = f"Table '{self.caption}': row {i}"
             if len(members(what, row, str)) != len(self.header):
                 raise refusal(what, f"{len(self.header)} texts, one a column", row)
@@ -107,7 +79,7 @@ class Table(AbstractPart):
 
 @final
 @dataclass(frozen=True)
-class Drawing(AbstractPart):
+class Drawing:
     """One figure, or several in a row with a common heading and a caption that says what to see in it."""
 
     figures: "Sequence[Figure]"
@@ -115,10 +87,15 @@ class Drawing(AbstractPart):
     caption: str = ""
     number: str = ""
 
+    def __post_init__(self) -> None:
+        from plotly.graph_objects import Figure
+
+        members(f"Drawing '{self.heading}': figures", self.figures, Figure)
+
 
 @final
 @dataclass(frozen=True)
-class Schematic(AbstractPart):
+class Schematic:
     """Drawings of a system as SVG, with its mathematics beside them."""
 
     drawings: Sequence[str]
@@ -130,7 +107,7 @@ class Schematic(AbstractPart):
 
 @final
 @dataclass(frozen=True)
-class Choice(AbstractPart):
+class Choice:
     """A design that a reader can choose on a page: its name, what is known of it in tables, and a figure of each of its
     paths, with the path's name in its `meta`.
     """
@@ -142,7 +119,7 @@ class Choice(AbstractPart):
 
 @final
 @dataclass(frozen=True)
-class Linked(AbstractPart):
+class Linked:
     """Figures of designs and a table of them, one row each, beside all that is known of the one that a reader chooses.
 
     - `figures`: a trace says by its `meta`, a list of places in `choices`, to which designs its points belong;
@@ -158,21 +135,13 @@ class Linked(AbstractPart):
     caption: str = ""
     number: str = ""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        what, count = f"Linked '{self.heading}'", len(self.choices)
-        if len(self.table.rows) != count:
-            raise refusal(f"{what}: table", f"{count} rows, one a choice", len(self.table.rows))
-        if self.chosen not in range(count):
-            raise refusal(f"{what}: chosen", f"the place of one of {count} choices", self.chosen)
-
 
 Block = Text | Code | Table | Drawing | Schematic | Linked
 
 
 @final
 @dataclass(frozen=True)
-class Section(AbstractPart):
+class Section:
     """A heading and the blocks under it, which a reader opens if they are `folded`."""
 
     heading: str
@@ -205,6 +174,7 @@ def templates() -> Any:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.filters["kind"] = lambda block: type(block).__name__.lower()
     return environment
 
 
@@ -213,7 +183,7 @@ def page_html(page: Page) -> str:
     from plotly.offline import get_plotlyjs
 
     blocks = [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
-    drawings = [_drawn(block, i) for i, block in enumerate(blocks)]
+    drawings = [_drawn(block, f"figure-{i}") for i, block in enumerate(blocks)]
     plotly = get_plotlyjs() if drawings else ""
     return templates().get_template("page.html.j2").render(page=page, next_drawn=iter(drawings).__next__, plotly=plotly)
 
@@ -223,14 +193,12 @@ def write_page(page: Page, path: str | Path) -> Path:
     return write_text(path, page_html(page))
 
 
-def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
+def _drawn(block: Drawing | Linked, name: str) -> dict[str, Any]:
     """What the template needs to draw a block: its name, its panels, and what a reader can choose."""
-    name = f"figure-{place}"
     panels = [_panel(one, f"{name}-{i}", block.heading, block.caption) for i, one in enumerate(block.figures)]
     if isinstance(block, Drawing):
         return {"name": name, "panels": panels}
-    paths = dict[str, list[Any]]()
-    every: list[Any] = [figure for choice in block.choices for figure in choice.bands]
+    paths, every = dict[str, list[Any]](), [figure for choice in block.choices for figure in choice.bands]
     for one in every:
         paths.setdefault(one.layout.meta, []).append(one)
     bands = [
@@ -241,7 +209,7 @@ def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
         {
             "name": one.name,
             "facts": [{"caption": table.caption, "rows": table.rows, "note": table.note} for table in one.facts],
-            "bands": dict(map(_band, one.bands)),
+            "bands": {figure.layout.meta: _band(figure) for figure in one.bands},  # type: ignore[union-attr]
         }
         for one in block.choices
     ]
@@ -251,6 +219,8 @@ def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
 def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str, Any]:
     """The data of a figure for the template. Titles become HTML, which wraps on narrow screens."""
     content = json.loads(figure.to_json() or "{}")
+    for trace, drawn in zip(content["data"], figure.data, strict=True):
+        trace.update(_repeated(drawn))
     title = html.unescape((content["layout"].pop("title", None) or {}).get("text", ""))
     if title:
         content["layout"]["margin"]["t"] = 40
@@ -263,6 +233,18 @@ def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str,
     }
 
 
+def _repeated(trace: Any) -> dict[str, Any]:
+    """The instants of many histories in one trace, once, and how often they are repeated: half of its size."""
+    x = trace.x if isinstance(getattr(trace, "x", None), np.ndarray) and trace.x.dtype.kind == "f" else np.zeros(0)
+    (gaps,) = np.nonzero(np.isnan(x))
+    if len(gaps) < 2 or len(x) % (gaps[0] + 1):
+        return {}
+    first, *others = x.reshape(-1, gaps[0] + 1)
+    if not all(np.array_equal(first, one, equal_nan=True) for one in others):
+        return {}
+    return {"x": [*(float(f"{one:.6g}") for one in first[:-1]), None], "repeated": len(others) + 1}
+
+
 def _stage(figures: Sequence[Any]) -> "Figure":
     """An empty figure with axes that suit all of some figures of one path."""
     traces = [one for figure in figures for one in figure.data]
@@ -272,13 +254,14 @@ def _stage(figures: Sequence[Any]) -> "Figure":
     return stage.update_yaxes(range=padded([*values[np.isfinite(values)], *limits], 0.1))
 
 
-def _band(figure: Any) -> tuple[str, dict[str, Any]]:
-    """The name of a path, and what differs between the designs in its figure: limits, and curves at some instants."""
-    layout, curves = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
-    for curve in curves:
-        for key in {"x", "y", "customdata"} & curve.keys():
-            shown = np.linspace(0, len(curve[key]) - 1, min(len(curve[key]), _POINTS)).round().astype(int)
-            values = np.asarray(curve[key], float)[shown].tolist()
-            curve[key] = [float(f"{one:.{_DIGITS}g}") if math.isfinite(one) else None for one in values]
-    limits = {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}
-    return layout["meta"], {"data": curves, "layout": limits}
+def _band(figure: Any) -> dict[str, Any]:
+    """What differs between the designs in the figure of a path: limits, and curves at some instants."""
+    shown = type(figure)(figure)
+    for curve in shown.data:
+        places = np.linspace(0, len(curve.x) - 1, min(len(curve.x), _POINTS)).round().astype(int)
+        for key in ("x", "y", "customdata"):
+            if curve[key] is not None:
+                curve[key] = short(np.asarray(curve[key], float)[places])
+    content = json.loads(shown.to_json() or "{}")
+    limits = {key: content["layout"].get(key, []) for key in ("shapes", "annotations")}
+    return {"data": content["data"], "layout": limits}

@@ -1,31 +1,17 @@
 """Figures over time: the paths of a problem with their limits, means with bands, and histories of systems."""
 
-import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractFunctional, Constraint, Problem, Statistic, functionals_of, is_worst_case
-from aleator.reporting._numbers import given, share_text, unit_of_expression, unit_of_functional, unit_of_limit
-from aleator.reporting._style import (
-    ALARM,
-    CLOUD,
-    DASHES,
-    add_band,
-    blank,
-    draw,
-    label,
-    limit_line,
-    looks,
-    plain,
-    short,
-)
-from aleator.solution import Moments, Motions, Solution
+from aleator.reporting._numbers import given, share_text, unit_of, unit_of_limit
+from aleator.reporting._style import ALARM, CLOUD, DASHES, add_band, blank, draw, label, limit_line, looks, plain, short
+from aleator.solution import Moments
 from aleator.validation import Evidence
 
 if TYPE_CHECKING:
@@ -37,7 +23,7 @@ _USUAL = 2.0
 _DRAWN, _SHOWN = 60, 350
 
 
-Drawn: TypeAlias = "dict[str, Callable[..., Figure]]"
+# --- What a problem has over time ------------------------------------------------------------------------------------
 
 
 class Limits(NamedTuple):
@@ -62,8 +48,8 @@ def limits_of(problem: Problem, functional: AbstractFunctional) -> Limits:
     """The limits on one path alone: on its mean, with a multiple of its standard deviation or without, or on its worst
     case.
     """
-    texts: dict[float, str] = {}
-    sigmas, names, unit = 0.0, set(), unit_of_functional(functional, problem)
+    texts, names, sigmas = dict[float, str](), set[str](), 0.0
+    unit = unit_of(functional, problem)
     for limit in problem.constraints:
         if functionals_of((limit.expression,)) != (functional,) or not _has_values_of_path(limit):
             continue
@@ -93,10 +79,20 @@ def limits_text(bounds: Sequence[float], unit: str) -> dict[float, str]:
     return {bound: f"limit {given(bound, unit)}" for bound in dict.fromkeys(bounds) if np.isfinite(bound)}
 
 
-def components(
-    name: str, mean: Float[np.ndarray, "instants ..."], std: Float[np.ndarray, "instants ..."]
-) -> dict[str, Moments]:
-    """A path by its name; of a vector over time, each component by its own."""
+# --- What figures over time are made of ------------------------------------------------------------------------------
+
+
+def timeline(y: str, unit: str = "", limits: Mapping[float, str] | None = None, title: str = "") -> "Figure":
+    """An empty figure over time, with limits as lines."""
+    figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=380)
+    for bound, text in (limits or {}).items():
+        limit_line(figure, bound, text)
+    return figure.update_layout(showlegend=True)
+
+
+def components(name: str, mean: Float[np.ndarray, "instants ..."], std: Any = 0.0) -> dict[str, Moments]:
+    """A path by its name, by default without a spread; of a vector over time, each component by its own."""
+    std = np.broadcast_to(std, mean.shape)
     if mean.ndim == 1:
         return {name: Moments(mean, std)}
     means, stds = (part.reshape(len(part), -1) for part in (mean, std))
@@ -112,43 +108,10 @@ def curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.moveaxis(flat, 2, 1).reshape(-1, values.shape[1]), np.repeat(broken, flat.shape[2])
 
 
-class Strokes(NamedTuple):
-    """Histories that are drawn alike, shape (curves, instants)."""
-
-    rows: Float[np.ndarray, "curves instants"]
-    colour: str
-    width: float = 0.8
-
-
-def path_figure(
-    times: Float[np.ndarray, " instants"],
-    paths: Mapping[str, Moments],
-    *,
-    y: str,
-    unit: str = "",
-    sigmas: float = 0.0,
-    histories: Mapping[str, Strokes] = MappingProxyType({}),
-    ranges: Mapping[str, tuple[np.ndarray, np.ndarray]] = MappingProxyType({}),
-    limits: Mapping[float, str] = MappingProxyType({}),
-    title: str = "",
-) -> "Figure":
-    """The mean of each path, shape (instants,), with the band of `sigmas` standard deviations about it.
-
-    - `histories`: of some systems, drawn behind; `ranges`: a lighter band between two curves, by the name of a path;
-      `limits`: drawn as lines, with their names.
-    """
-    figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=380)
-    for name, (rows, colour, width) in histories.items():
-        # All curves are one trace with gaps; its legend entry is thick enough for the colour to be seen.
-        draw(figure, [None], [None], colour, name=name, mode="lines", line_width=4)
-        gap, along = np.full((len(rows), 1), np.nan), np.broadcast_to(times, rows.shape)
-        x, y_of_all = (short(np.hstack([part, gap]).ravel()) for part in (along, rows))
-        thin = {"line_width": width, "opacity": 0.7, "showlegend": False}
-        draw(figure, x, y_of_all, colour, name=name, mode="lines", hover=None, **thin)
+def add_means(figure: "Figure", times: np.ndarray, paths: Mapping[str, Moments], sigmas: float = _USUAL) -> "Figure":
+    """The mean of each path as a line, with the band of `sigmas` standard deviations about it."""
     styles = looks(paths)
     for name, path in paths.items():
-        if name in ranges:
-            add_band(figure, times, *ranges[name], styles[name].fill(0.08))
         if np.any(path.std):
             low, high = (path.mean + sign * sigmas * path.std for sign in (-1, 1))
             add_band(figure, times, low, high, styles[name].fill(0.25))
@@ -157,75 +120,34 @@ def path_figure(
         if np.any(path.std):
             shown |= {
                 "name": f"{name} ± {sigmas:.3g} σ",
-                "hover": "σ: %{customdata:.2~g}",
                 "customdata": short(path.std),
+                "hover": "σ: %{customdata:.2~g}",
             }
         draw(figure, short(times), short(path.mean), styles[name], mode="lines", **shown)
-    for bound, text in limits.items():
-        limit_line(figure, bound, text)
-    return figure.update_layout(showlegend=True)
-
-
-def band_figure(solution: Solution, name: str, sigmas: float | None = None, title: str = "") -> "Figure":
-    """The mean of a path in the problem over time with its band, by default that of its limits, and these."""
-    functional = paths_of(solution.problem)[name]
-    limits, moments = limits_of(solution.problem, functional), solution.moments[functional.text()]
-    shown = {"sigmas": limits.sigmas if sigmas is None else sigmas, "unit": limits.unit, "limits": limits.texts}
-    paths = components(f"mean of {name}", moments.mean, moments.std)
-    return path_figure(solution.times_of(functional), paths, y=name, title=title, **shown)
-
-
-def limit_figure(solution: Solution, name: str, title: str = "") -> "Figure":
-    """What the limits of a name are on, such as mean + 2 σ, over time, with their bounds and where they are active."""
-    every = zip(solution.constraints, solution.problem.constraints, strict=True)
-    # Both sides of a limit, or limits on several paths, may have one name.
-    named = [(one, declared.expression) for one, declared in every if one.name == name and one.times is not None]
-    times, unit = np.asarray(named[0][0].times), unit_of_expression(named[0][1], solution.problem)
-    parts = [(one, str(text)) for one, text in named if np.array_equal(np.asarray(one.times), times)]
-    lines = [components(text, one.values, np.zeros_like(one.values)) for one, text in parts]
-    bounds = limits_text([bound for one, _ in parts for bound in (one.lower, one.upper)], unit)
-    paths = {text: line for each in lines for text, line in each.items()}
-    figure = path_figure(times, paths, y=name, unit=unit, limits=bounds, title=title)
-    active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
-    values = [np.reshape(one.values, where.shape)[where] for (one, _), where in zip(parts, active, strict=True)]
-    places = [np.repeat(times, where.sum(axis=1)) for where in active]
-    marks = {"name": "active", "mode": "markers", "marker_size": 8}
-    draw(figure, np.concatenate(places), np.concatenate(values), ALARM, **marks)
     return figure
 
 
-def active_over_time(solution: Solution) -> set[str]:
-    """The names of the limits over time that are active."""
-    return {one.name for one in solution.constraints if one.times is not None and np.any(one.active)}
+def add_histories(
+    figure: "Figure", times: np.ndarray, values: np.ndarray, colour: str, name: str, width: float = 0.8
+) -> "Figure":
+    """Histories that are drawn alike, shape (systems, instants, ...): one trace with gaps."""
+    rows, _ = curves(values, np.zeros(len(values), dtype=bool))
+    # The entry of the legend is thick enough for the colour to be seen.
+    draw(figure, [None], [None], colour, name=name, mode="lines", line_width=4)
+    gap, along = np.full((len(rows), 1), np.nan), np.broadcast_to(times, rows.shape)
+    x, y = (short(np.hstack([part, gap]).ravel()) for part in (along, rows))
+    thin = {"line_width": width, "opacity": 0.7, "showlegend": False}
+    draw(figure, x, y, colour, name=name, mode="lines", hover=None, **thin)
+    return figure
 
 
-def figures_over_time(
-    solution: Solution,
-) -> "tuple[dict[str, Callable[..., Figure]], dict[str, Callable[..., Figure]]]":
-    """What draws a design over time, by name: what is limited, active limits first; and other paths in the problem.
-
-    A limit is drawn with its path where it is on one alone.
-    """
-    problem, active = solution.problem, active_over_time(solution)
-    paths = paths_of(problem)
-    alone = {name: limits_of(problem, path).names for name, path in paths.items()}
-    together = {one.name: {one.name} for one in solution.constraints if one.times is not None}
-    together = {name: names for name, names in together.items() if name not in set().union(*alone.values())}
-    seen = functionals_of(tuple(one.expression for one in problem.constraints if one.name in together))
-    every = [(names, path, band_figure) for path, names in alone.items() if names]
-    every += [(names, name, limit_figure) for name, names in together.items()]
-    every.sort(key=lambda one: not one[0] & active)
-    limited = {name: functools.partial(figure, solution, name) for _, name, figure in every}
-    others = [name for name, path in paths.items() if not alone[name] and path not in seen]
-    return limited, {name: functools.partial(band_figure, solution, name) for name in others}
+def add_cloud(figure: "Figure", times: np.ndarray, values: np.ndarray) -> "Figure":
+    """The first 60 of some systems, behind what follows."""
+    shown = values[:_DRAWN]
+    return add_histories(figure, times, shown, CLOUD, f"{len(shown)} systems")
 
 
-def motion_figure(motions: Motions, *names: str, title: str = "") -> "Figure":
-    """Means of inputs, states or outputs of one unit over time, with bands of two standard deviations about them."""
-    paths = [components(name, motions.moments[name].mean, motions.moments[name].std) for name in names]
-    every, unit = {part: one for each in paths for part, one in each.items()}, motions.units.get(names[0], "")
-    times = np.asarray(motions.times_of(names[0]))
-    return path_figure(times, every, y=", ".join(names), unit=unit, sigmas=_USUAL, title=title)
+# --- Figures ---------------------------------------------------------------------------------------------------------
 
 
 def histories_figure(
@@ -235,20 +157,13 @@ def histories_figure(
     y: str,
     unit: str = "",
     who: str = "systems",
-    limits: Mapping[float, str] = MappingProxyType({}),
+    limits: Mapping[float, str] | None = None,
     title: str = "",
 ) -> "Figure":
     """The histories of some realisations, one line for each; of a vector, one for each component too."""
-    rows, _ = curves(histories, np.zeros(len(histories), dtype=bool))
     name = f"{len(histories)} {who if len(histories) != 1 else who.removesuffix('s')}"
-    strokes = Strokes(rows, looks([y])[y].colour, 0.8 if len(rows) > 1 else 2.0)
-    return path_figure(times, {}, y=y, unit=unit, histories={name: strokes}, limits=limits, title=title)
-
-
-def cloud(histories: Float[np.ndarray, "systems instants ..."]) -> dict[str, Strokes]:
-    """The first 60 of some systems, to be drawn behind a path."""
-    shown = histories[:_DRAWN]
-    return {f"{len(shown)} systems": Strokes(curves(shown, np.zeros(len(shown), dtype=bool))[0], CLOUD)}
+    figure, width = timeline(y, unit, limits, title), 0.8 if np.size(histories[:, 0]) > 1 else 2.0
+    return add_histories(figure, times, histories, looks([y])[y].colour, name, width)
 
 
 def bands_figure(
@@ -258,7 +173,7 @@ def bands_figure(
     y: str,
     unit: str = "",
     limits: Sequence[float] = (),
-    targets: Mapping[str, float] = MappingProxyType({}),
+    targets: Mapping[str, float] | None = None,
     title: str = "",
 ) -> "Figure":
     """Histories of a family of systems: their mean, the band of one standard deviation about it, and their range.
@@ -266,21 +181,16 @@ def bands_figure(
     - `families`: each quantity on its systems, shape (systems, instants);
     - `limits`: drawn as lines; `targets`: the final value wanted of a quantity, drawn as a ring.
     """
+    figure, styles = timeline(y, unit, limits_text(limits, unit), title), looks(families)
+    for name, rows in families.items():
+        add_band(figure, times, rows.min(axis=0), rows.max(axis=0), styles[name].fill(0.08))
     moments = {name: Moments(rows.mean(axis=0), rows.std(axis=0)) for name, rows in families.items()}
-    ranges = {name: (rows.min(axis=0), rows.max(axis=0)) for name, rows in families.items()}
-    texts = limits_text(limits, unit)
-    figure = path_figure(times, moments, y=y, unit=unit, sigmas=1.0, ranges=ranges, limits=texts, title=title)
-    for name, target in targets.items():
+    add_means(figure, times, moments, sigmas=1.0)
+    for name, target in (targets or {}).items():
         ring = {"marker_symbol": "circle-open", "marker_size": 12, "marker_line_width": 2, "cliponaxis": False}
         named = {"name": f"{name}, target", "mode": "markers", "showlegend": False}
-        draw(figure, [float(times[-1])], [target], looks(families)[name], **named, **ring)
+        draw(figure, [float(times[-1])], [target], styles[name], **named, **ring)
     return figure
-
-
-def signal_figure(times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "") -> "Figure":
-    """An input over time (figure 6.2)."""
-    figure = path_figure(times, {name: Moments(values, np.zeros_like(values))}, y=name, unit=unit)
-    return figure.update_layout(showlegend=False, height=300)
 
 
 def trajectory_figure(
@@ -300,26 +210,22 @@ def trajectory_figure(
     - `every`: so many instants are drawn as one, by default so many that at most 350 remain.
     """
     sampled, solution = [one for one in evidence.trajectories if one.name == name], evidence.solution
-    unit = unit_of_limit(name, solution.problem) if unit is None else unit
+    unit, share = unit_of_limit(name, solution.problem) if unit is None else unit, evidence.violations.get(name)
     limits = (one for one in solution.problem.constraints if one.name == name and one.is_path)
     instants = next((solution.times_of(one) for one in limits), solution.instants)
     step = every or math.ceil(len(instants) / _SHOWN)
+    bounds = limits_text([bound for one in sampled for bound in (one.upper, one.lower)], unit)
+    title = "" if share is None else f"{share_text(share)} of {who} violate {name}"
+    figure = timeline(y or name, unit, bounds, title)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in sampled}.values()
     pairs = [curves(one.values[:_DRAWN, ::step], one.violating[:_DRAWN]) for one in values]
-    histories, share = dict[str, Strokes](), evidence.violations.get(name)
     if pairs:
         rows, broken = (np.concatenate(part) for part in zip(*pairs, strict=True))
         # All quantities have the same systems, which are counted once.
         many, few = len(pairs[0][1]), int(pairs[0][1].sum())
-        histories[f"within the limits ({many - few} of {many} drawn)"] = Strokes(rows[~broken], CLOUD)
-        histories[f"violating ({few} of {many} drawn)"] = Strokes(rows[broken], ALARM, 0.9)
-    return path_figure(
-        instants[::step],
-        {},
-        y=y or name,
-        unit=unit,
-        histories={name: strokes for name, strokes in histories.items() if len(strokes.rows)},
-        limits=limits_text([bound for one in sampled for bound in (one.upper, one.lower)], unit),
-        title="" if share is None else f"{share_text(share)} of {who} violate {name}",
-    )
+        for said, these, colour in (("within the limits", ~broken, CLOUD), ("violating", broken, ALARM)):
+            if these.any():
+                counted = f"{said} ({few if colour == ALARM else many - few} of {many} drawn)"
+                add_histories(figure, instants[::step], rows[these], colour, counted)
+    return figure

@@ -1,51 +1,47 @@
 """`report`: the results of any problem as one page, verdict first."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.metadata import version
+from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
+from aleator.reporting import _fronts, _tables
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
-from aleator.reporting._fronts import evidence_on
-from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._numbers import units_of_moments, words
-from aleator.reporting._page import Block, Code, Drawing, Page, Section, Table, Text, Verdict, write_page
+from aleator.reporting._page import (
+    Block,
+    Choice,
+    Code,
+    Drawing,
+    Linked,
+    Page,
+    Section,
+    Table,
+    Text,
+    Verdict,
+    templates,
+    write_page,
+)
 from aleator.reporting._paths import trajectory_figure
-from aleator.reporting._solutions import mesh_drawing, search_drawings
+from aleator.reporting._solutions import mesh_drawing, over_time, search_drawings
 from aleator.reporting._spreads import percentile_figure
 from aleator.reporting._store import provenance
-from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
 from aleator.solution import Solution
-from aleator.sweep import EvidenceOfAll, Front, TradeOff
+from aleator.sweep import SAME, EvidenceOfAll, Front, Refused, TradeOff
 from aleator.uncertainty import placements
 from aleator.validation import Evidence
 
-Result = TypeVar("Result", Solution, Evidence, Front | TradeOff, EvidenceOfAll)
-
-HOW_TO_READ = (
-    (
-        "The decisions are the numbers that the optimiser chose. μ and σ are mean and standard deviation over the "
-        "declared uncertainty, computed by a polynomial chaos expansion."
-    ),
-    (
-        "A limit on mean ± a·σ is a margin, not a guarantee: how often single systems break the limit is counted on "
-        "fresh random systems, without the expansion, and given with a 95 % confidence interval."
-    ),
-    (
-        "An active limit is one that the design meets with equality. Its shadow price is the amount by which the "
-        "objective would fall for each unit that the limit is relaxed; the shadow price of an inactive limit is zero."
-    ),
-    (
-        "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return. On a front, click "
-        "on a point, or choose it in the table by the arrow keys, to see its design."
-    ),
-)
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 
 def report(
@@ -77,51 +73,33 @@ def report(
     first = next(iter(designs))
     sampled, swept = _named(evidence, Evidence, first), _named(fronts, (Front, TradeOff), first)
     for name, one in sampled.items():
-        _check_belongs(name, one, designs)
-    sampled_along = _named(along, EvidenceOfAll)
+        if name not in designs:
+            raise ProblemError(f"report: there is evidence on '{name}', but no design of that name: {list(designs)}.")
+        if not np.array_equal(designs[name].vector, one.solution.vector):
+            raise ProblemError(f"report: the evidence on '{name}' was sampled from another design than the one shown.")
     shown = [*designs.values(), *(point for one in swept.values() for point in one.solutions)]
-    for one in sampled_along.values():
-        _check_along(one, shown)
-    checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
+    checked = [one for each in _named(along, EvidenceOfAll).values() for one in each.by_place.items()]
+    for place, one in checked:
+        if not any(_fronts.evidence_on(point, [one]) for point in shown):
+            raise ProblemError(
+                f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
+                "shown: expected al.validate_all(front) of a front among `fronts`."
+            )
     check_writable(as_path(path).parent)
     page = whole_page(
         a_name("report: title", title),
-        f"{words([str(name) for name in designs])}: result and evidence",
+        f"{words(list(designs))}: result and evidence",
         proposal(designs, sampled, positive("report: target", target, below=1.0)),
-        sections(designs, sampled, swept, checked),
+        sections(designs, sampled, swept, [one for _, one in checked]),
         {"designs": designs, "evidence": sampled, "fronts": swept},
     )
     return write_page(page, path)
 
 
-def _named(
-    given: Result | Mapping[str, Result] | None, kinds: type[Result] | tuple[type[Result], ...], name: str = "design"
-) -> dict[str, Result]:
+def _named(given: Any, kinds: type | tuple[type, ...], name: str = "design") -> dict[str, Any]:
     """One or several results by name; anything else is refused."""
     every = {} if given is None else given if isinstance(given, Mapping) else {name: given}
     return {str(key): one_of(f"report: '{key}'", one, kinds) for key, one in every.items()}
-
-
-def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:
-    """Raise `ProblemError` for evidence on an unknown design, or on another than the one under its name."""
-    if name not in designs:
-        raise ProblemError(
-            f"report: there is evidence on '{name}', but no design of that name; expected one of {list(designs)}."
-        )
-    if not np.array_equal(designs[name].vector, evidence.solution.vector):
-        raise ProblemError(
-            f"report: the evidence on '{name}' was sampled from another design than the one shown: validate that one."
-        )
-
-
-def _check_along(along: EvidenceOfAll, shown: Sequence[Solution]) -> None:
-    """Raise `ProblemError` for evidence on a design that is no point of the fronts, and none of the designs, shown."""
-    for place, evidence in along.by_place.items():
-        if not any(evidence_on(one, [evidence]) is evidence for one in shown):
-            raise ProblemError(
-                f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
-                "shown: expected al.validate_all(front) of a front among `fronts`."
-            )
 
 
 def sections(
@@ -140,11 +118,11 @@ def sections(
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     paths, counted = evidence_sections(evidence)
     every = [
-        Section("Designs", [*failed, *_motions(designs), designs_table(designs, evidence)]),
+        Section("Designs", [*failed, *_motions(designs), _tables.designs_table(designs, evidence)]),
         paths,
         trade_offs_section(designs, fronts, [*along, *evidence.values()]),
         counted,
-        Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
+        Section("Certificate", [_tables.certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
@@ -192,12 +170,10 @@ def whole_page(
     glossary: Sequence[Table] = (),
 ) -> Page:
     """A page: sections that are not empty, then where the numbers of the results come from, and how to read them."""
-    import datetime
-    from importlib.metadata import version
-
     import aleator
 
-    last = [replace(provenance(results), folded=True), Section("How to read this", [Text(HOW_TO_READ), *glossary])]
+    how_to_read = templates().get_template("how_to_read.txt").render().splitlines()
+    last = [replace(provenance(results), folded=True), Section("How to read this", [Text(how_to_read), *glossary])]
     now = datetime.datetime.now().astimezone()
     footer = (
         f"Written by aleator {aleator.__version__} with JAX {version('jax')} on {now:%Y-%m-%d at %H:%M}. This page is"
@@ -207,20 +183,164 @@ def whole_page(
 
 
 def _counted(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
-    for name, one in evidence.items():
-        if not one.agrees:
-            yield Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
+    """What was counted on each design, and sampled of it."""
+    alarms = {name: one.alarm() for name, one in evidence.items() if not one.agrees}
+    yield from (Text([alarm], lead=f"{name}: samples and solution disagree.") for name, alarm in alarms.items())
     for name, one in evidence.items():
         if one.compared:
             sentences = [each.sentence() for each in one.compared]
             yield Text(sentences, lead=f"{name}: limits on statistics, by the samples.")
     if evidence:
-        yield evidence_table(evidence)
-        yield from filter(None, [statistics_table(evidence)])
-    told = "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems."
+        yield _tables.evidence_table(evidence)
+        yield from filter(None, [_tables.statistics_table(evidence)])
+    told = "Whiskers: 5 to 95 % of the systems; boxes: 25 to 75 %, with the median; dashed: the mean."
     units = {text: unit for one in evidence.values() for text, unit in units_of_moments(one.solution.problem).items()}
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
         if not any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
             figure = percentile_figure(group, x=text, unit=units.get(text, ""))
             yield Drawing([figure], f"Spread of {text} over random systems", told)
+
+
+# --- Fronts whose designs a reader chooses ---------------------------------------------------------------------------
+
+_UNCHECKED = "No fresh systems were simulated at this design: see al.validate_all."
+
+
+def choice(
+    name: str,
+    point: Solution | Refused,
+    evidence: Evidence | None = None,
+    wishes: Mapping[str, str] = MappingProxyType({}),
+) -> Choice:
+    """All that is known of a design, or why there is none.
+
+    - `evidence`: on this design; `wishes`: their values and rates, where the objective is a weighted sum of wishes.
+    """
+    if isinstance(point, Refused):
+        return Choice(name, [Table("Certificate", ["", ""], [["Status", _tables.status_words(point)]], point.reason)])
+    rows = list(_tables.rows_of(_tables.solution_document(point, evidence)))
+    alarms = [] if evidence is None or evidence.agrees else [evidence.alarm()]
+    alarms += [one.sentence() for one in evidence.compared] if evidence else [_UNCHECKED]
+
+    achieved = wishes or {str(point.problem.objective): _tables.objective_text(point)}
+
+    def facts(caption: str, *kinds: str, note: str = "") -> Table:
+        return Table(caption, ["", ""], [[row.label, row.text] for row in rows if row.kind in kinds], note)
+
+    tables = [
+        facts("Decisions", "Decisions"),
+        Table("Wishes" if wishes else "Objective", ["", ""], [[*one] for one in achieved.items()]),
+        facts("Limits", "Limits", "Active"),
+        facts(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", "Shadow prices"),
+        facts("Statistics", "Statistics"),
+        facts("Evidence", "Evidence", note=" ".join(alarms)),
+    ]
+    certificate = facts("Certificate", "Status", "Certificate", note="" if point.ok else point.why())
+    # That there is no design comes first.
+    every = [*tables, certificate] if point.ok else [certificate, *tables]
+    figures = [one.draw(point, one.name).update_layout(height=300, meta=one.name) for one in over_time(point)]
+    return Choice(name, [one for one in every if one.rows or one.note], figures)
+
+
+def front_blocks(
+    fronts: Mapping[str, Front], evidence: Iterable[Evidence] = (), recommended: Solution | None = None
+) -> list[Linked]:
+    """For each swept bound: the optimum and the shadow price along it, and the designs."""
+    known, blocks = list(evidence), []
+    for bound in dict.fromkeys(one.bound for one in fronts.values()):
+        # A study names the front of its design by the bound.
+        group = {"design" if name == bound else name: one for name, one in fronts.items() if one.bound == bound}
+        caption = (
+            f"Filled markers: {bound} is active; open markers: it is not, and something else, or nothing, limits the "
+            f"design. Crosses on the axis: no design meets all limits there. The shadow price is what relaxing {bound} "
+            "is worth: zero where it is not active."
+        )
+        heading = f"Optimum against the limit of {bound}"
+        figures = [_fronts.front_figure(group), _fronts.shadow_price_figure(group)]
+        blocks.append(linked_front(group, figures, heading, caption, evidence=known, recommended=recommended))
+    return blocks
+
+
+def linked_front(
+    fronts: Mapping[str, Front],
+    figures: "Sequence[Figure]",
+    heading: str,
+    caption: str = "",
+    number: str = "",
+    evidence: Iterable[Evidence] = (),
+    recommended: Solution | None = None,
+) -> Linked:
+    """Figures of fronts along one bound, linked with the designs.
+
+    - `figures`: of all these fronts in the same order, by `front_figure` or `shadow_price_figure`; `evidence`: on some
+      of the designs; `recommended`: the design to build: the one nearest to it is shown first.
+    """
+    known, points = list(evidence), _fronts.points_of(fronts)
+    choices = [
+        choice(f"{before}{front.bound}: {bound}", point, _fronts.evidence_on(point, known))
+        for before, bound, front, point in points
+    ]
+    doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
+    chosen = _nearest([point for *_, point in points], recommended)
+    return Linked(
+        figures, heading, _fronts.front_table(fronts, known), choices, chosen, " ".join([caption, *doubts]), number
+    )
+
+
+def trade_off_blocks(
+    fronts: Mapping[str, TradeOff], evidence: Iterable[Evidence] = (), recommended: Solution | None = None
+) -> list[Linked]:
+    """For each trade-off: a figure for each pair of wishes, and the designs."""
+    known, blocks = list(evidence), []
+    caption = "Each point is a certified design: none other is better in all wishes."
+    for name, front in fronts.items():
+        if not front.solutions:
+            continue
+        table, choices = _fronts.trade_off_table(front, f"Designs of {name}"), []
+        for place, (row, one) in enumerate(zip(table.rows, front.solutions, strict=True)):
+            wishes = dict(zip(front.names, row, strict=False))
+            title = ", ".join(f"{wish}: {value}" for wish, value in wishes.items())
+            choices.append(choice(title, one, _fronts.evidence_on(one, known), wishes | _fronts.rates_of(front, place)))
+        figures = [_fronts.pair_figure(front, *pair) for pair in combinations(range(len(front.names)), 2)]
+        first = _nearest(front.solutions, recommended)
+        blocks.append(Linked(figures, f"Trade-off: {name}", table, choices, first, caption))
+    return blocks
+
+
+def _nearest(designs: Sequence[Solution | Refused], recommended: Solution | None) -> int:
+    """The place of the design that is nearest to the recommended one, among those with its decisions, and before others
+    those with its objective and its uncertain numbers; of the first design where there is none.
+    """
+    solved = {i: one for i, one in enumerate(designs) if isinstance(one, Solution) and one.ok}
+    if recommended is not None:
+        names, size = list(recommended.decisions), len(recommended.vector)
+        alike = {i: one for i, one in solved.items() if list(one.decisions) == names and len(one.vector) == size}
+        if alike:
+            vectors = np.array([one.vector for one in alike.values()])
+            scale = np.ptp(vectors, axis=0)
+            far = np.max(np.abs(vectors - recommended.vector) / np.where(scale > 0, scale, 1.0), axis=1)
+            other = [_kind(one) != _kind(recommended) for one in alike.values()]
+            return min(zip(other, far.tolist(), alike, strict=True))[-1]
+    return next(iter(solved), 0)
+
+
+def _kind(design: Solution) -> tuple[str, Sequence[str]]:
+    return str(design.problem.objective), design.problem.placements.germ_names
+
+
+def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[str]:
+    """Where a design and a point of a front solve the same problem, but one is better: the other is a local optimum."""
+    sentences = []
+    for name, design in designs.items():
+        for _, bound, front, point in _fronts.points_of(fronts):
+            if not (design.ok and isinstance(point, Solution) and point.ok and point.problem == design.problem):
+                continue
+            gap = abs(design.objective - point.objective)
+            if gap > SAME * max(abs(design.objective), abs(point.objective)):
+                both = f"{_tables.objective_text(design)} and {_tables.objective_text(point)}"
+                sentences.append(
+                    f"'{name}' and the front at {front.bound} = {bound} are optima of one problem, {both}: the higher "
+                    "one is local, and neither need be the least. al.multistart and al.portfolio look for others."
+                )
+    return sentences

@@ -11,11 +11,11 @@ from aleator._core.border import positive
 from aleator._core.errors import ProblemError
 from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, ToleranceAnalysis
 from aleator.design import AbstractFunctional, functionals_of
-from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_functional
+from aleator.reporting._numbers import count, given, number, percent, share_text
 from aleator.reporting._page import Table
-from aleator.reporting._paths import cloud, components, limits_of, path_figure, paths_of, trajectory_figure
-from aleator.reporting._showing import AbstractPlots, Facts, chosen, facts_of, plots_of
-from aleator.reporting._spreads import bars_figure, density_figure, percentile_figure, shares_figure
+from aleator.reporting._paths import add_cloud, add_means, components, limits_of, paths_of, timeline, trajectory_figure
+from aleator.reporting._showing import Facts, chosen, facts_of, figure
+from aleator.reporting._spreads import bars_figure, density_figure, shares_figure
 from aleator.reporting._style import plain
 from aleator.reporting._tables import evidence_table, violations_table
 from aleator.sweep import EvidenceOfAll
@@ -26,118 +26,104 @@ if TYPE_CHECKING:
 
 # Bins of a histogram at most.
 _BINS = 200
-_NO_NUMBER = "expected a functional that is one number of each system, such as al.rms('x'); received none."
+# Points of a density, and the sample whose range it spans.
+_POINTS, _SAMPLE = 201, 4096
+# Inputs whose shares are drawn: the largest of them.
+_MOST = 12
 
 
-@plots_of.register(Evidence)
-class EvidencePlots(AbstractPlots[Evidence]):
-    """Figures of evidence."""
-
-    def __call__(self) -> "Figure":
-        """The limit that most systems break: these over time against it, or the density of the number that it limits;
-        without such a limit, what there is of trajectories or densities.
-        """
-        paths, densities = [one.name for one in self._result.trajectories], self._limited()
-        worst = self._most_broken([*paths, *densities])
-        if worst in paths or (worst is None and paths):
-            return self.trajectories(worst)
-        return self.density(None if worst is None else densities[worst])
-
-    def trajectories(self, limit: str | None = None) -> "Figure":
-        """Sampled systems over time against a limit, by its name, by default the one that most of them break; those
-        that break it are highlighted.
-        """
-        nothing = "expected a limit over time, and keep > 0 in al.validate; received evidence without trajectories."
-        paths = {one.name: one for one in self._result.trajectories}
-        name, _ = chosen("plot.trajectories", self._most_broken(paths) if limit is None else limit, paths, nothing)
-        return trajectory_figure(self._result, name, every=1)
-
-    def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
-        """The sampled mean of a path with its band, before sampled histories, and the mean by the expansion.
-
-        - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
-        """
-        problem = self._result.solution.problem
-        nothing = "expected a path in the problem, such as al.path('x'); received one without."
-        name, functional = chosen("plot.band", output, paths_of(problem), nothing)
-        sampled, limits = self._result.functionals[functional.text()], limits_of(problem, functional)
-        histories = [one.values for one in self._result.trajectories if one.name in limits.names]
-        return path_figure(
-            self._result.solution.times_of(functional),
-            components(f"sampled mean of {name}", sampled.mean, sampled.std)
-            | components(f"mean of {name} by the expansion", sampled.expanded_mean, np.zeros_like(sampled.std)),
-            sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
-            y=name,
-            unit=limits.unit,
-            limits=limits.texts,
-            histories=cloud(histories[0]) if histories else {},
-        )
-
-    def density(self, functional: str | None = None) -> "Figure":
-        """The sampled density of a functional, as a histogram, with the limits on it; by default of the first one.
-
-        - `functional`: its text, such as `"rms(x)"`, or the name of its output where that tells it apart.
-        """
-        problem, declared = self._result.solution.problem, self._number("plot.density", functional)
-        name, one = declared.text(), self._result.functionals[declared.text()]
-        (edges, heights), limits = _steps(one.values), limits_of(problem, declared)
-        broken = [(each, share) for each, share in self._result.violations.items() if each in limits.names]
-        lines = [f"{share_text(share)} violate {plain(each)}" for each, share in broken]
-        moments = f"mean {number(float(one.mean))}, σ {number(float(one.std))}"
-        lines.append(f"{moments}, {count(self._result.samples)} systems")
-        shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": "<br>".join(lines)}
-        return density_figure(edges, {"sampled": heights}, x=name, **shown)
-
-    def percentiles(self, functional: str | None = None) -> "Figure":
-        """The sampled spread of a functional: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems, median and mean."""
-        declared = self._number("plot.percentiles", functional)
-        unit, name = unit_of_functional(declared, self._result.solution.problem), declared.text()
-        return percentile_figure({"design": self._result.functionals[name]}, x=name, unit=unit)
-
-    def violations(self) -> "Figure":
-        """How many systems break each limit, with 95 % confidence intervals."""
-        shares = dict(self._result.violations)
-        if len(shares) > 1:
-            shares["any of them"] = self._result.joint
-        return shares_figure(list(shares), {"systems": list(shares.values())}, x="Limit", y="Systems that break it")
-
-    def _most_broken(self, names: Collection[str]) -> str | None:
-        """The limit among these that most systems break; None if none of them is counted."""
-        violations = self._result.violations
-        shares = {name: violations[name].estimate for name in names if name in violations}
-        return max(shares, key=lambda name: shares[name], default=None)
-
-    def _numbers(self) -> dict[str, AbstractFunctional]:
-        """The functionals that are one number of each system, by their texts."""
-        every = functionals_of(self._result.solution.problem.expressions)
-        return {one.text(): one for one in every if self._result.functionals[one.text()].values is not None}
-
-    def _limited(self) -> dict[str, str]:
-        """The text of such a functional that varies by the limit that is on it alone."""
-        problem, sampled = self._result.solution.problem, self._result.functionals
-        varied = {text: one for text, one in self._numbers().items() if _varies(sampled[text].values)}
-        return {name: text for text, one in varied.items() for name in limits_of(problem, one).names}
-
-    def _number(self, what: str, functional: str | None) -> AbstractFunctional:
-        known = self._numbers()
-        of_output = [text for text, one in known.items() if one.outputs == (functional,)]
-        return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, _NO_NUMBER)[1]
+# --- Evidence --------------------------------------------------------------------------------------------------------
 
 
-@plots_of.register(EvidenceOfAll)
-class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
-    """The figure of evidence on several designs."""
+@figure(Evidence, "")
+def evidence_figure(evidence: Evidence) -> "Figure":
+    """The limit that most systems break: these over time against it, or the density of the number that it limits;
+    without such a limit, what there is of trajectories or densities.
+    """
+    paths, densities = [one.name for one in evidence.trajectories], _limited(evidence)
+    worst = _most_broken(evidence, [*paths, *densities])
+    if worst in paths or (worst is None and paths):
+        return trajectories(evidence, worst)
+    return sampled_density(evidence, None if worst is None else densities[worst])
 
-    def violations(self) -> "Figure":
-        """How many systems of each design break each limit, with 95 % confidence intervals."""
-        every, names = self._result.evidence, _counted(self._result)
-        shares = {name: [one.violations.get(name) if one else None for one in every] for name in names}
-        return shares_figure(self._result.places, shares, x="Design", y="Systems that break the limit")
+
+@figure(Evidence)
+def trajectories(evidence: Evidence, limit: str | None = None) -> "Figure":
+    """Sampled systems over time against a limit, by its name, by default the one that most of them break; those that
+    break it are highlighted.
+    """
+    nothing = "expected a limit over time, and keep > 0 in al.validate; received evidence without trajectories."
+    paths = {one.name: one for one in evidence.trajectories}
+    name, _ = chosen("plot.trajectories", _most_broken(evidence, paths) if limit is None else limit, paths, nothing)
+    return trajectory_figure(evidence, name, every=1)
 
 
-def _counted(evidence: EvidenceOfAll) -> list[str]:
-    """The limits that are counted on any design."""
-    return list(dict.fromkeys(name for one in evidence.evidence if one for name in one.violations))
+@figure(Evidence, "band")
+def sampled_band(evidence: Evidence, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
+    """The sampled mean of a path with its band, before sampled histories, and the mean by the expansion.
+
+    - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
+    """
+    problem = evidence.solution.problem
+    name, functional = chosen("plot.band", output, paths_of(problem))
+    sampled, limits = evidence.functionals[functional.text()], limits_of(problem, functional)
+    times, drawn = evidence.solution.times_of(functional), timeline(name, limits.unit, limits.texts)
+    kept = [one.values for one in evidence.trajectories if one.name in limits.names]
+    if kept:
+        add_cloud(drawn, times, kept[0])
+    means = components(f"sampled mean of {name}", sampled.mean, sampled.std)
+    means |= components(f"mean of {name} by the expansion", sampled.expanded_mean)
+    return add_means(drawn, times, means, limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas))
+
+
+@figure(Evidence, "density")
+def sampled_density(evidence: Evidence, functional: str | None = None) -> "Figure":
+    """The sampled density of a functional, as a histogram, with the limits on it; by default of the first one.
+
+    - `functional`: its text, such as `"rms(x)"`, or the name of its output where that tells it apart.
+    """
+    declared = _number(evidence, "plot.density", functional)
+    name, one = declared.text(), evidence.functionals[declared.text()]
+    (edges, heights), limits = _steps(one.values), limits_of(evidence.solution.problem, declared)
+    broken = [(each, share) for each, share in evidence.violations.items() if each in limits.names]
+    lines = [f"{share_text(share)} violate {plain(each)}" for each, share in broken]
+    lines.append(f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(evidence.samples)} systems")
+    shown = {"unit": limits.unit, "limits": sorted(limits.texts), "title": "<br>".join(lines)}
+    return density_figure(edges, {"sampled": heights}, x=name, **shown)
+
+
+@figure(Evidence)
+def violations(evidence: Evidence) -> "Figure":
+    """How many systems break each limit, with 95 % confidence intervals."""
+    shares = dict(evidence.violations)
+    if len(shares) > 1:
+        shares["any of them"] = evidence.joint
+    return shares_figure(list(shares), {"systems": list(shares.values())}, x="Limit", y="Systems that break it")
+
+
+def _most_broken(evidence: Evidence, names: Collection[str]) -> str | None:
+    """The limit among these that most systems break; None if none of them is counted."""
+    shares = {name: one.estimate for name, one in evidence.violations.items() if name in names}
+    return max(shares, key=shares.__getitem__, default=None)
+
+
+def _numbers(evidence: Evidence) -> dict[str, AbstractFunctional]:
+    """The functionals that are one number of each system, by their texts."""
+    every = functionals_of(evidence.solution.problem.expressions)
+    return {one.text(): one for one in every if evidence.functionals[one.text()].values is not None}
+
+
+def _limited(evidence: Evidence) -> dict[str, str]:
+    """The text of such a functional that varies by the limit that is on it alone."""
+    varied = {text: one for text, one in _numbers(evidence).items() if _varies(evidence.functionals[text].values)}
+    return {name: text for text, one in varied.items() for name in limits_of(evidence.solution.problem, one).names}
+
+
+def _number(evidence: Evidence, what: str, functional: str | None) -> AbstractFunctional:
+    known = _numbers(evidence)
+    of_output = [text for text, one in known.items() if one.outputs == (functional,)]
+    nothing = "expected a functional that is one number of each system, such as al.rms('x'); received none."
+    return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, nothing)[1]
 
 
 def _varies(values: np.ndarray | None) -> bool:
@@ -165,152 +151,139 @@ def _(evidence: Evidence) -> Facts:
     return Facts(heading, "" if evidence.agrees else evidence.alarm(), [one for one in tables if one.rows])
 
 
+@figure(EvidenceOfAll, "violations")
+def violations_of_all(along: EvidenceOfAll) -> "Figure":
+    """How many systems of each design break each limit, with 95 % confidence intervals."""
+    shares = {name: [one.violations.get(name) if one else None for one in along.evidence] for name in _counted(along)}
+    return shares_figure(along.places, shares, x="Design", y="Systems that break the limit")
+
+
+def _counted(along: EvidenceOfAll) -> list[str]:
+    """The limits that are counted on any design."""
+    return list(dict.fromkeys(name for one in along.evidence if one for name in one.violations))
+
+
 @facts_of.register(EvidenceOfAll)
-def _(evidence: EvidenceOfAll) -> Facts:
-    names = _counted(evidence)
+def _(along: EvidenceOfAll) -> Facts:
+    names = _counted(along)
     rows = [
-        [place, *(share_text(one.violations.get(name)) if one else evidence.refused[i] for name in names)]
-        for i, (place, one) in enumerate(zip(evidence.places, evidence.evidence, strict=True))
+        [place, *(share_text(one.violations.get(name)) if one else along.refused[i] for name in names)]
+        for i, (place, one) in enumerate(zip(along.places, along.evidence, strict=True))
     ]
-    heading = f"Evidence on {len(evidence.designs)} designs{', interrupted' * evidence.interrupted}"
-    sentence = "" if evidence.agrees else "Samples contradict some of the designs, or these could not be simulated."
+    heading = f"Evidence on {len(along.designs)} designs{', interrupted' * along.interrupted}"
+    sentence = "" if along.agrees else "Samples contradict some of the designs, or these could not be simulated."
     return Facts(heading, sentence, [Table("Systems that break limits, with 95 % intervals", ["design", *names], rows)])
 
 
-# Points of a density, and the sample whose range it spans.
-_POINTS, _SAMPLE = 201, 4096
-# Inputs whose shares are drawn: the largest of them.
-_MOST = 12
+# --- Expanded functions ----------------------------------------------------------------------------------------------
 
 
-@plots_of.register(AbstractExpanded)
-class ExpandedPlots(AbstractPlots[AbstractExpanded]):
-    """Figures of an expanded function."""
+@figure(AbstractExpanded, "density")
+def expanded_density(expanded: AbstractExpanded, output: str | None = None) -> "Figure":
+    """The probability density of an output, by its name, by default the first; of an array, where its spread is
+    largest.
+    """
+    name, one, where = _scalar("plot.density", expanded, output)
+    mean, std = (float(np.asarray(part)[where]) for part in (one.mean, one.std))
+    sample = np.asarray(one.sample(_SAMPLE, seed=0))[(slice(None), *where)]
+    if not _varies(sample):
+        raise ProblemError(f"plot.density: expected an output that varies; received '{name}', which does not.")
+    values = np.linspace(sample.min(), sample.max(), _POINTS)
+    heights = np.asarray(one.pdf(jax_array(values)))[(slice(None), *where)]
+    return density_figure(values, {name: heights}, x=name, title=f"mean {number(mean)}, σ {number(std)}")
 
-    def density(self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None) -> "Figure":
-        """The probability density of an output, with its mean and standard deviation.
 
-        - `output`: by its name, by default the first;
-        - `entry`: of an array, by its indices; by default where its spread is largest.
-        """
-        name, one, where = _scalar("plot.density", self._result, output, entry)
-        mean, std = (float(np.asarray(part)[where]) for part in (one.mean, one.std))
-        sample = np.asarray(one.sample(_SAMPLE, seed=0))[(slice(None), *where)]
-        if not np.ptp(sample) > 1e-12 * float(np.max(np.abs(sample))):
-            raise ProblemError(f"plot.density: expected an output that varies; received '{name}', which does not.")
-        values = np.linspace(sample.min(), sample.max(), _POINTS)
-        heights = np.asarray(one.pdf(jax_array(values)))[(slice(None), *where)]
-        title = f"mean {number(mean)}, σ {number(std)}"
-        return density_figure(values, {name: heights}, x=name, title=title)
+@figure(AbstractExpanded)
+def sensitivities(expanded: AbstractExpanded, output: str | None = None) -> "Figure":
+    """Which inputs an output's variance comes from: Sobol indices alone, and with interactions; largest first. The
+    output is named as for a density.
 
-    def sensitivities(self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None) -> "Figure":
-        """Which inputs an output's variance comes from: Sobol indices alone, and with interactions; largest first.
-
-        Correlated inputs have Shapley effects instead, which share their common part. With more than twelve inputs, the
-        largest twelve are drawn.
-
-        - `output`: by its name, by default the first;
-        - `entry`: of an array, by its indices; by default where its spread is largest.
-        """
-        name, one, where = _scalar("plot.sensitivities", self._result, output, entry)
-        shares = _shares(one, where)
-        last = next(reversed(shares.values()))
-        order = sorted(last, key=lambda key: -last[key])[:_MOST]
-        groups = {kind: {key: 100 * by_input[key] for key in order} for kind, by_input in shares.items()}
-        return bars_figure(groups, y=f"Share of the variance of {name}", unit="%")
+    Correlated inputs have Shapley effects instead, which share their common part. With more than twelve inputs, the
+    largest twelve are drawn.
+    """
+    name, one, where = _scalar("plot.sensitivities", expanded, output)
+    shares = _shares(one, where)
+    last = next(reversed(shares.values()))
+    order = sorted(last, key=lambda key: -last[key])[:_MOST]
+    groups = {kind: {key: 100 * by_input[key] for key in order} for kind, by_input in shares.items()}
+    return bars_figure(groups, y=f"Share of the variance of {name}", unit="%")
 
 
 def _shares(one: AbstractExpanded, where: tuple[int, ...]) -> dict[str, dict[str, float]]:
     """The shares of inputs in the variance of one number, by their kind."""
 
-    def number_of(moments: Any) -> float:
+    def at(moments: Any) -> float:
         return float(np.asarray(moments)[where])
 
-    if any(each.dependence for each in one.distributions.values()):
-        if not isinstance(one, Expanded):
-            raise ProblemError(
-                "plot.sensitivities: expected independent inputs of a piecewise expansion; received correlated ones."
-            )
-        return {"Shapley effect": {key: number_of(one.shapley(key)) for key in one.distributions}}
-    return {
-        "alone (Sobol index)": {key: number_of(one.sobol(key)) for key in one.germs},
-        "with interactions (total)": {key: number_of(one.total_sobol(key)) for key in one.germs},
-    }
+    if not any(each.dependence for each in one.distributions.values()):
+        return {
+            "alone (Sobol index)": {key: at(one.sobol(key)) for key in one.germs},
+            "with interactions (total)": {key: at(one.total_sobol(key)) for key in one.germs},
+        }
+    if isinstance(one, Expanded):
+        return {"Shapley effect": {key: at(one.shapley(key)) for key in one.distributions}}
+    raise ProblemError(
+        "plot.sensitivities: expected independent inputs of a piecewise expansion; received correlated ones."
+    )
 
 
-def _scalar(
-    what: str, expanded: AbstractExpanded, output: str | None, entry: int | tuple[int, ...] | None
-) -> tuple[str, AbstractExpanded, tuple[int, ...]]:
+def _scalar(what: str, expanded: AbstractExpanded, output: str | None) -> tuple[str, AbstractExpanded, tuple[int, ...]]:
     """One number of an expansion: its name, the output that it belongs to, and its place there."""
-    means = expanded.mean
     name, one = "output", expanded
-    if isinstance(means, Mapping):
-        name, _ = chosen(what, output, means, "expected an output; received none.")
+    if isinstance(expanded.mean, Mapping):
+        name, _ = chosen(what, output, expanded.mean)
         one = expanded[name]
     elif output is not None:
         raise ProblemError(f"{what}: expected no name, for a function with one output; received '{output}'.")
     stds = np.asarray(one.std)
-    if entry is None:
-        entry = tuple(int(i) for i in np.unravel_index(int(np.argmax(stds)), stds.shape))
-    where = entry if isinstance(entry, tuple) else (entry,)
-    pairs = zip(where, stds.shape, strict=False)
-    if len(where) != stds.ndim or not all(isinstance(i, int) and -n <= i < n for i, n in pairs):
-        raise ProblemError(
-            f"{what}: expected entry=..., a place in '{name}' of shape {stds.shape}; received {entry!r}."
-        )
+    where = tuple(int(i) for i in np.unravel_index(int(np.argmax(stds)), stds.shape))
     return f"{name}[{', '.join(map(str, where))}]" if where else name, one, where
-
-
-@plots_of.register(ToleranceAnalysis)
-class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
-    """Figures of a tolerance analysis."""
-
-    def density(self) -> "Figure":
-        """The density of the output, with its limits and the rejects beyond them."""
-        one = self._result
-        limits = [limit for limit in (one.lower, one.upper) if np.isfinite(limit)]
-        low, high = (one.mean - 4.5 * one.std, one.mean + 4.5 * one.std)
-        values = np.linspace(min([low, *limits]), max([high, *limits]), _POINTS)
-        heights = np.asarray(one.expanded.pdf(jax_array(values)))
-        tails = [f"{number(part, 3)}\nppm" for part in (one.rejects_low, one.rejects_high)] if len(limits) == 2 else []
-        title = f"mean {number(one.mean)}, σ {number(one.std)}, rejects {number(one.rejects, 3)} ppm"
-        return density_figure(values, {one.output: heights}, x=one.output, limits=limits, tails=tails, title=title)
-
-    def contributions(self) -> "Figure":
-        """The share of each dimension in the variance, linearly and by the expansion, largest first."""
-        parts = dict(sorted(self._result.contributions.items(), key=lambda item: -item[1].linear)[:_MOST])
-        groups = {
-            "linearly": {name: one.linear for name, one in parts.items()},
-            "by the expansion (total)": {name: one.total for name, one in parts.items() if np.isfinite(one.total)},
-        }
-        shown = {kind: one for kind, one in groups.items() if one}
-        return bars_figure(shown, y=f"Share of the variance of {self._result.output}", unit="%")
 
 
 @facts_of.register(AbstractExpanded)
 def _(expanded: AbstractExpanded) -> Facts:
-    means, stds = expanded.mean, expanded.std
-    rows = [
-        [name, _moment(mean, std), _moment(std, std)]
-        for name, mean, std in zip(_names(means), jax.tree.leaves(means), jax.tree.leaves(stds), strict=True)
-    ]
+    paths, means = zip(*jax.tree_util.tree_leaves_with_path(expanded.mean), strict=True)
+    names = [jax.tree_util.keystr(path, simple=True, separator=".") or "output" for path in paths]
+    moments = zip(names, means, jax.tree.leaves(expanded.std), strict=True)
+    rows = [[name, _moment(mean, std), _moment(std, std)] for name, mean, std in moments]
     inputs = [[name, str(one)] for name, one in expanded.distributions.items()]
     tables = [Table("", ["output", "mean", "σ"], rows), Table("", ["input", "distribution"], inputs)]
     kind = "Piecewise expansion" if isinstance(expanded, ElementExpanded) else "Expansion"
     return Facts(f"{kind} in {len(expanded.germs)} variables", "", tables)
 
 
-def _names(tree: Any) -> list[str]:
-    paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(tree)]
-    return [jax.tree_util.keystr(path, simple=True, separator=".") or "output" for path in paths]
-
-
 def _moment(values: Any, stds: Any) -> str:
     """A number; of an array, that of the largest spread."""
     known, spread = np.asarray(values), np.asarray(stds)
-    if known.ndim == 0:
-        return number(float(known), 6)
-    return f"{number(float(known.flat[int(np.argmax(spread))]), 6)}, of {known.size} where σ is largest"
+    text = number(float(known.flat[int(np.argmax(spread))]), 6)
+    return f"{text}, of {known.size} where σ is largest" if known.ndim else text
+
+
+# --- Tolerances ------------------------------------------------------------------------------------------------------
+
+
+@figure(ToleranceAnalysis, "density")
+def tolerance_density(analysis: ToleranceAnalysis) -> "Figure":
+    """The density of the output, with its limits and the rejects beyond them."""
+    one, limits = analysis, [limit for limit in (analysis.lower, analysis.upper) if np.isfinite(limit)]
+    low, high = (one.mean - 4.5 * one.std, one.mean + 4.5 * one.std)
+    values = np.linspace(min([low, *limits]), max([high, *limits]), _POINTS)
+    heights = np.asarray(one.expanded.pdf(jax_array(values)))
+    tails = [f"{number(part, 3)}\nppm" for part in (one.rejects_low, one.rejects_high)] if len(limits) == 2 else []
+    title = f"mean {number(one.mean)}, σ {number(one.std)}, rejects {number(one.rejects, 3)} ppm"
+    return density_figure(values, {one.output: heights}, x=one.output, limits=limits, tails=tails, title=title)
+
+
+@figure(ToleranceAnalysis)
+def contributions(analysis: ToleranceAnalysis) -> "Figure":
+    """The share of each dimension in the variance, linearly and by the expansion, largest first."""
+    parts = dict(sorted(analysis.contributions.items(), key=lambda item: -item[1].linear)[:_MOST])
+    groups = {
+        "linearly": {name: one.linear for name, one in parts.items()},
+        "by the expansion (total)": {name: one.total for name, one in parts.items() if np.isfinite(one.total)},
+    }
+    shown = {kind: one for kind, one in groups.items() if one}
+    return bars_figure(shown, y=f"Share of the variance of {analysis.output}", unit="%")
 
 
 @facts_of.register(ToleranceAnalysis)

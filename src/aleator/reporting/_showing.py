@@ -1,9 +1,10 @@
-"""The registry of figures and facts: `AbstractPlots`, one method for each figure; `Facts`, what a notebook shows."""
+"""The figures and the facts of each type of result: `figure` and `facts_of` register them."""
 
 import functools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from types import MethodType
+from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import numpy as np
 
@@ -19,35 +20,54 @@ from aleator.uncertainty import AbstractDecision, AbstractDistribution, fields_o
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-Result = TypeVar("Result")
 Value = TypeVar("Value")
+Draw = TypeVar("Draw", bound="Callable[..., Figure]")
+
+_FIGURES = dict[type, dict[str, "Callable[..., Figure]"]]()
 
 
-class AbstractPlots(Generic[Result]):
-    """The figures of a result, one method for each. Called, it draws the usual one: by its first method."""
+def figure(kind: type, name: str | None = None) -> Callable[[Draw], Draw]:
+    """A decorator: a function of a result of this type draws `result.plot.name()`, by default under its own name.
 
-    def __init__(self, result: Result):
-        self._result = result
+    The first one of a type is the usual figure, `result.plot()`; one with an empty name is that alone.
+    """
+
+    def registered(function: Draw) -> Draw:
+        _FIGURES.setdefault(kind, {})[function.__name__ if name is None else name] = function
+        return function
+
+    return registered
+
+
+@final
+class Figures:
+    """The figures of a result, each a method. Called, it draws the usual one."""
+
+    def __init__(self, result: Any, functions: "Mapping[str, Callable[..., Figure]]"):
+        self._result, self._usual = result, next(iter(functions.values()))
+        self._named = {name: MethodType(function, result) for name, function in functions.items() if name}
+        vars(self).update(self._named)
 
     def __call__(self) -> "Figure":
         """The usual figure."""
-        return getattr(self, self._names()[0])()
+        return self._usual(self._result)
 
     def __repr__(self) -> str:
-        named = ", ".join(f".{name}()" for name in self._names())
+        named = ", ".join(f".{name}()" for name in self._named)
         return f"figures of {type(self._result).__name__}: plot() and {named}"
 
-    def _names(self) -> list[str]:
-        return [name for name in vars(type(self)) if not name.startswith("_")]
 
-
-@functools.singledispatch
-def plots_of(result: Any) -> AbstractPlots[Any]:
+def plots_of(result: Any) -> Figures:
     """The figures of a result, by its type."""
-    raise refusal("plot", "a result whose figures are registered", result)
+    kind = next((kind for kind in type(result).__mro__ if kind in _FIGURES), None)
+    if kind is None:
+        raise refusal("plot", "a result whose figures are registered", result)
+    return Figures(result, _FIGURES[kind])
 
 
-def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str) -> tuple[str, Value]:
+def chosen(
+    what: str, name: str | None, known: Mapping[str, Value], nothing: str = "there is nothing to draw."
+) -> tuple[str, Value]:
     """What is known by a name, with the name; the first where none is asked for.
 
     Raises `ProblemError` for an unknown name, with the nearest one, and with the sentence `nothing` if there is none.
@@ -56,17 +76,16 @@ def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str
         raise ProblemError(f"{what}: {nothing}")
     if name is None:
         return next(iter(known.items()))
-    if not isinstance(name, str) or name not in known:
+    if name not in known:
         raise unknown(what, name, known)
     return name, known[name]
 
 
-def unknown(what: str, name: Any, known: Collection[str]) -> ProblemError:
+def unknown(what: str, name: str, known: Collection[str]) -> ProblemError:
     """The refusal of a name that is not known, with those that are."""
     listed = list(known)
     expected = f"one of {listed}" if len(listed) <= 8 else f"one of {listed[:8]} and {len(listed) - 8} others"
-    near = meant(name, known) if isinstance(name, str) else ""
-    return ProblemError(f"{what}: expected {expected}; received {shown(name)}.{near}")
+    return ProblemError(f"{what}: expected {expected}; received '{name}'.{meant(name, known)}")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
-"""Figures of spreads: densities against limits, percentiles, shares, boxes of mean ± sigma, bars, error and effort."""
+"""Figures of spreads: densities against limits, percentiles, shares, bars."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +10,6 @@ from aleator._core.errors import ProblemError
 from aleator.reporting._numbers import count, given, number, share_text
 from aleator.reporting._style import (
     ALARM,
-    DASHES,
-    INK,
     MUTED,
     SIZE,
     Look,
@@ -30,33 +27,21 @@ from aleator.validation import Sampled, Share
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-# Between which percentiles each bar reaches, by their places among those sampled, and its width in pixels.
-_BARS = ((0, 6, 2, "1 to 99 %"), (1, 5, 7, "5 to 95 %"), (2, 4, 16, "25 to 75 %"))
-
 
 def percentile_figure(
     sampled: Mapping[str, Sampled], *, x: str, unit: str = "", limit: float | None = None
 ) -> "Figure":
-    """The sampled spread of one quantity for several designs: 1-99 %, 5-95 %, 25-75 %, the median and the mean."""
+    """The sampled spread of one quantity for several designs: 5 to 95 %, 25 to 75 %, the median and the mean."""
     figure = blank(label(x, unit), "", height=120 + 64 * len(sampled))
-    for row, (name, one) in enumerate(sampled.items()):
-        levels, place = one.percentiles, plain(name)
-        if levels is None:
-            continue
-        for low, high, width, text in _BARS:
-            bar = {"mode": "lines", "line_width": width, "opacity": 0.55, "showlegend": False}
-            named = {"name": f"{name}, {text}", "hover": f"{number(levels[low])} to {number(levels[high])}"}
-            draw(figure, [levels[low], levels[high]], [place] * 2, looks(sampled)[name], **named, **bar)
-        for text, value, symbol, size in (("median", levels[3], "line-ns", 16), ("mean", one.mean, "circle", 8)):
-            mark = {"marker_size": size, "marker_line_width": 2, "marker_line_color": INK, "showlegend": row == 0}
-            named = {"name": text, "legendgroup": text, "mode": "markers", "hover": place}
-            draw(figure, [float(value)], [place], Look(INK, symbol), **named, **mark)
+    for name, look in looks(sampled).items():
+        if (levels := sampled[name].percentiles) is not None:
+            known = zip(("lowerfence", "q1", "median", "q3", "upperfence"), levels[1:6], strict=True)
+            colours = {"line_color": look.colour, "fillcolor": look.fill(0.3), "showlegend": False}
+            box = {end: [float(level)] for end, level in known} | {"mean": [float(sampled[name].mean)]} | colours
+            figure.add_box(y=[plain(name)], name=plain(name), orientation="h", width=0.4, **box)
     if limit is not None:
-        limit_line(figure, limit, f" limit {given(limit, unit)}", axis="x", upright=True)
-    known = [level for one in sampled.values() if one.percentiles is not None for level in one.percentiles]
-    figure.update_xaxes(range=padded([*known, *([] if limit is None else [limit])]))
-    lowest = len(sampled) - (0.5 if limit is None else 0.2)
-    return figure.update_yaxes(type="category", range=[lowest, -0.5], showgrid=False)
+        limit_line(figure, limit, f"limit {given(limit, unit)}", axis="x")
+    return figure.update_yaxes(type="category", autorange="reversed", showgrid=False)
 
 
 def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":
@@ -155,56 +140,3 @@ def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str 
         figure.add_bar(x=[plain(one) for one in shown], y=[*shown.values()], name=plain(name), **written)
     figure.update_layout(barmode="group", bargap=0.35)
     return figure.update_yaxes(rangemode="tozero", linecolor=MUTED)
-
-
-@final
-@dataclass(frozen=True)
-class Axis:
-    """One requirement: its name and unit, and its limits by their labels."""
-
-    name: str
-    unit: str = ""
-    limits: Mapping[str, float] = field(default_factory=dict)
-
-
-@final
-@dataclass(frozen=True)
-class Box:
-    """A design among requirements: the centre and the half-widths of its box, by the requirement's key.
-
-    `design` determines its look and its legend entry; `dash` its line style.
-    """
-
-    design: str
-    centre: Mapping[str, float]
-    half: Mapping[str, float]
-    dash: str = "solid"
-    note: str = ""
-
-
-def projection_figure(
-    boxes: Sequence[Box], across: str, up: str, axes: Mapping[str, Axis], *, height: int = 420
-) -> "Figure":
-    """Designs projected on the plane of two requirements (figures 6.6, 6.7 and 7.2)."""
-    keys, styles = (across, up), looks(dict.fromkeys(box.design for box in boxes))
-    figure = blank(*(label(axes[key].name, axes[key].unit) for key in keys), height=height)
-    for i, box in enumerate(boxes):
-        (x, y), (dx, dy) = ([part[key] for key in keys] for part in (box.centre, box.half))
-        look, group, spread = styles[box.design], plain(box.design), [box.note]
-        if dx > 0 or dy > 0:
-            corners = {"x0": x - dx, "x1": x + dx, "y0": y - dy, "y1": y + dy}
-            line = {"color": look.colour, "width": 1.8, "dash": box.dash}
-            filled = {"fillcolor": look.fill(0.07), "line": line, "layer": "below"}
-            figure.add_shape(type="rect", legendgroup=group, **corners, **filled)
-            spread += [f"{axes[key].name} ± {number(box.half[key], 3, axes[key].unit)}" for key in keys]
-        first = box.design not in [other.design for other in boxes[:i]]
-        marks = {"marker_size": 11, "marker_line_color": "white", "marker_line_width": 1, "mode": "markers"}
-        named = {"name": box.design, "legendgroup": group, "showlegend": first}
-        draw(figure, [x], [y], look, hover="<br>".join(map(plain, filter(None, spread))), **named, **marks)
-    for key, axis in ((across, "x"), (up, "y")):
-        limits = axes[key].limits
-        for i, (text, value) in enumerate(limits.items()):
-            limit_line(figure, value, text, axis=axis, dash=DASHES[i % len(DASHES)] if len(limits) > 1 else "dash")
-        ends = [box.centre[key] + side * box.half[key] for box in boxes for side in (-1, 1)]
-        figure.update_layout({f"{axis}axis_range": padded([*ends, *limits.values()])})
-    return figure

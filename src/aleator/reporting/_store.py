@@ -2,11 +2,10 @@
 versions, machine, seeds, times and digests, by which a number can be traced to its run.
 """
 
-import hashlib
 import os
 import platform
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,8 +14,9 @@ import numpy as np
 
 from aleator.reporting._datasets import by_place, leaves, savable, tree
 from aleator.reporting._files import write_together
-from aleator.reporting._numbers import NOTHING, count, number, unit_of_decision, unit_of_expression, unit_of_objective
+from aleator.reporting._numbers import NOTHING, count, number
 from aleator.reporting._page import Block, Section, Table
+from aleator.reporting._tables import design_digest, digest, solution_document
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence
@@ -25,23 +25,15 @@ if TYPE_CHECKING:
     import xarray
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "casadi", "unopy")
-# So many digits tell apart the designs of any study, and can be read aloud.
-_DIGITS = 12
 _SIGNED_BY = ("Prepared", "Checked", "Released")
 
 
-def design_digest(solution: Solution) -> str:
-    """Twelve digits that stand for a design: its equations, its decisions and its objective.
-
-    They change with any of these, and are the same on this page and in `designs.json`.
-    """
-    numbers = np.array([*solution.vector, solution.objective], dtype=float)
-    return _digest(solution.problem.physics.text.encode() + numbers.tobytes())
+# --- Where numbers come from -----------------------------------------------------------------------------------------
 
 
 def provenance(results: Mapping[str, Any]) -> Section:
     """The section of a page on where its numbers come from, with lines to sign; empty without results."""
-    rows = list(_rows(results))
+    rows = [row for names, one in leaves(results) for row in _rows(": ".join(names), one)]
     note = (
         "A design's digest changes with its equations, its decisions or its objective, and stands in designs.json as "
         "well. The same seed draws the same systems."
@@ -69,33 +61,28 @@ def environment() -> dict[str, str]:
     }
 
 
-def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
-    for names, one in leaves(results):
-        here = ": ".join(names)
-        if isinstance(one, Solution):
-            yield [here, design_digest(one), one.effort.solver, NOTHING, _seconds(one)]
-        elif isinstance(one, Evidence):
-            sample = [f"{count(one.samples)} fresh systems", str(one.seed), number(one.seconds, 3)]
-            yield [here, design_digest(one.solution), *sample]
-        elif isinstance(one, Calibration):
-            known = one.evidence
-            fresh = [NOTHING] * 2 if known is None else [str(known.seed), number(known.seconds, 3)]
-            yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
-        elif isinstance(one, Front | TradeOff) and one.solutions:
-            together = _digest("".join(map(design_digest, one.solutions)).encode())
-            solvers = ", ".join(dict.fromkeys(each.effort.solver for each in one.solutions))
-            designs = f"{count(len(one.solutions))} designs: {solvers}"
-            yield [here, together, designs, NOTHING, _seconds(*one.solutions)]
+def _rows(name: str, one: Any) -> Iterator[list[str]]:
+    if isinstance(one, Solution):
+        yield [name, design_digest(one), one.effort.solver, NOTHING, _seconds(one)]
+    elif isinstance(one, Evidence):
+        sample = [f"{count(one.samples)} fresh systems", str(one.seed), number(one.seconds, 3)]
+        yield [name, design_digest(one.solution), *sample]
+    elif isinstance(one, Calibration):
+        known = one.evidence
+        fresh = [NOTHING] * 2 if known is None else [str(known.seed), number(known.seconds, 3)]
+        yield [name, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
+    elif isinstance(one, Front | TradeOff) and one.solutions:
+        together = digest("".join(map(design_digest, one.solutions)).encode())
+        solvers = ", ".join(dict.fromkeys(each.effort.solver for each in one.solutions))
+        yield [name, together, f"{count(len(one.solutions))} designs: {solvers}", NOTHING, _seconds(*one.solutions)]
 
 
 def _seconds(*solutions: Solution) -> str:
     """How long solves took, with their compilations."""
-    times = [one.effort.times for one in solutions]
-    return number(sum(one.compile_ + one.solve for one in times), 3)
+    return number(sum(one.effort.times.compile_ + one.effort.times.solve for one in solutions), 3)
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:_DIGITS]
+# --- Files -----------------------------------------------------------------------------------------------------------
 
 
 Result: TypeAlias = "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset"
@@ -119,7 +106,7 @@ def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") 
     kept, refused = savable("save", results)
     if refused:
         raise refused[0]
-    return _write(folder, kept, ())
+    return _write(folder, kept)
 
 
 def save_study(folder: Path, results: Mapping[str, Any], contents: str = "") -> tuple[Path, ...]:
@@ -131,7 +118,7 @@ def save_study(folder: Path, results: Mapping[str, Any], contents: str = "") -> 
     paths = tuple(folder / name for name in names)
     if contents and all(path.exists() for path in paths) and _contents_of(folder / _RESULTS) == contents:
         return paths
-    return _write(folder, results, (PAGE,), contents)
+    return _write(folder, results, {PAGE: None}, contents)
 
 
 def _contents_of(path: Path) -> str:
@@ -146,11 +133,10 @@ def _contents_of(path: Path) -> str:
 
 
 def _write(
-    folder: str | Path, results: Mapping[str, Any], outdated: Sequence[str], contents: str = ""
+    folder: str | Path, results: Mapping[str, Any], outdated: Mapping[str, None] | None = None, contents: str = ""
 ) -> tuple[Path, ...]:
     """Write one set of results, and remove outdated files with the earlier set."""
-    generation = uuid.uuid4().hex
-    nodes = tree(results)
+    generation, nodes = uuid.uuid4().hex, tree(results)
     nodes.attrs |= {"generation": generation, _CONTENTS: contents, **environment()}
     document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
     files = {
@@ -158,7 +144,7 @@ def _write(
         _RESULTS: bytes(nodes.to_netcdf(engine="h5netcdf")),
         _DESIGNS: json_text(document).encode("utf-8") if document else None,
     }
-    return write_together(folder, {**files, **dict.fromkeys(outdated)})
+    return write_together(folder, {**files, **(outdated or {})})
 
 
 def json_text(document: Any) -> str:
@@ -180,74 +166,3 @@ def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
     return {
         place: solution_document(one, judged.get(id(one))) for place, one in found.items() if isinstance(one, Solution)
     }
-
-
-def solution_document(solution: Solution, evidence: Evidence | None = None) -> dict[str, Any]:
-    """One design: decisions, objective, constraints, certificate and, where it was sampled, violations."""
-    problem, certificate, quality = solution.problem, solution.certificate, solution.certificate.expansion
-    document: dict[str, Any] = {
-        "status": solution.status.value,
-        "decisions": {
-            name: {
-                "value": value,
-                "unit": unit_of_decision(name, problem),
-                "multiplier": solution.bound_multipliers.get(name),
-                "at_bound": solution.is_at_bound(name),
-            }
-            for name, value in solution.decisions.items()
-        },
-        "objective": {
-            "value": solution.objective,
-            "unit": unit_of_objective(problem),
-            "expression": str(problem.objective),
-        },
-        "active": solution.active,
-        # At their worst instants: histories are in the netCDF file.
-        "constraints": [
-            {
-                **_named(one, "name", "text", "lower", "upper", "violation", "shadow_price"),
-                "unit": unit_of_expression(declared.expression, problem),
-                "worst_value": one.worst,
-                "worst_time_s": one.worst_time,
-                "active": bool(np.any(one.active)),
-            }
-            for one, declared in zip(solution.constraints, problem.constraints, strict=True)
-        ],
-        "certificate": {
-            **_named(certificate, "violation", "stationarity", "complementarity"),
-            **_named(solution.effort, "iterations", "evaluations", "solver"),
-            "search": None if solution.effort.searched is None else str(solution.effort.searched),
-            "message": solution.message,
-            "said": [f"{label}: {text}" for label, text in certificate.rows()],
-        },
-        "meshes": [str(one) for one in solution.meshes],
-        "expansion": {
-            **_named(quality, "order", "terms", "points", "condition_number", "leave_one_out"),
-            "leave_one_out_of_derivatives": quality.tangents,
-        },
-        "seconds": {"compile": solution.effort.times.compile_, "solve": solution.effort.times.solve},
-        "digest": design_digest(solution),
-        "problem": solution.problem_text.splitlines(),
-    }
-    if not solution.ok:
-        document["why"] = solution.why()
-    if evidence is not None:
-        document["evidence"] = evidence_document(evidence)
-    return document
-
-
-def evidence_document(evidence: Evidence) -> dict[str, Any]:
-    """Evidence on one design: the share of fresh systems that break each limit, with its interval."""
-    shares = {**evidence.violations, "any": evidence.joint}
-    parts = ("estimate", "lower", "upper", "confidence", "count")
-    return {
-        **_named(evidence, "samples", "seed", "instants", "agrees"),
-        "disagreements": [one.sentence() for one in evidence.disagreements],
-        "compared": [one.sentence() for one in evidence.compared],
-        "violations": {limit: _named(share, *parts) for limit, share in shares.items()},
-    }
-
-
-def _named(one: Any, *names: str) -> dict[str, Any]:
-    """Attributes by their names."""
-    return {name: getattr(one, name) for name in names}

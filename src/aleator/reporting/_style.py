@@ -203,30 +203,17 @@ def add_band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndar
     draw(figure, short(around), short(edges), fill, mode="lines", hover=None, **filled)
 
 
-def limit_line(
-    figure: "Figure",
-    value: float,
-    text: str,
-    *,
-    axis: str = "y",
-    dash: str = "dash",
-    upright: bool = False,
-    under: bool = False,
-) -> None:
+def limit_line(figure: "Figure", value: float, text: str, *, axis: str = "y", dash: str = "dash") -> None:
     """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
-    The name of a vertical limit is written along it, or `upright` beside its foot; that of a horizontal one above it,
-    or `under` it, as always where it is negative.
+    The name of a vertical limit is written along it; that of a horizontal one above it, or under a negative one.
     """
     # As by `add_hline` and `add_vline`, which take plotly a hundred times as long.
     across = "x" if axis == "y" else "y"
     ends = {f"{across}ref": f"{across} domain", f"{across}0": 0, f"{across}1": 1, f"{axis}0": value, f"{axis}1": value}
     figure.add_shape(type="line", line={"color": LIMIT, "width": 1.3, "dash": dash}, **ends)
-    if axis == "y":
-        place = {"x": 1, "xanchor": "right", "yanchor": "top" if under or value < 0 else "bottom"}
-    elif upright:
-        place = {"y": 0.0, "xanchor": "left", "yanchor": "bottom"}
-    else:
+    place: dict[str, Any] = {"x": 1, "xanchor": "right", "yanchor": "top" if value < 0 else "bottom"}
+    if axis == "x":
         # Above the foot of a density, which is low at its limits.
         place = {"y": 0.3, "xanchor": "right", "yanchor": "bottom", "textangle": -90}
     # On a logarithmic axis Plotly places texts by exponents, but lines by values.

@@ -13,7 +13,7 @@ from aleator._core.leaves import AbstractLeaf
 from aleator.design import Problem, problem_text
 from aleator.dynamics import Grid
 from aleator.examining import examine
-from aleator.reporting import Code, Table, number, side_by_side
+from aleator.reporting import Code, Table, side_by_side
 from aleator.studies._own import Study, problems_of
 from aleator.studies._study import AbstractStudy
 from aleator.transcription import DEFAULT, transcribe
@@ -44,7 +44,7 @@ class Check:
                 troubles = [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
                 self.facts[name]["derivatives_agree"] = found.ok
             except SimulationError as error:
-                troubles, self.facts[name]["derivatives_agree"] = [str(error)], False
+                troubles = [str(error)]
             self.troubles += [f"{name}: {trouble}" for trouble in troubles]
 
     def mathematics(self) -> list[Code]:
@@ -53,13 +53,15 @@ class Check:
 
     def numbers(self) -> Table | None:
         """The numbers of each model in the units that it declares, as a file may have changed them."""
-        columns = {name: _numbers_text(one) for name, one in self._problems.items()}
+        columns = {
+            name: {key: _text(one) for key, one in _numbers(problem).items()}
+            for name, problem in self._problems.items()
+        }
         return side_by_side("Numbers of the model", columns) if any(columns.values()) else None
 
     def table(self) -> Table:
         """A column for each problem."""
-        count = self._solves
-        solves = f", and {count} {'solve' if count == 1 else 'solves'} in all" if count else ""
+        solves = f", and {self._solves} {'solve' if self._solves == 1 else 'solves'} in all" if self._solves else ""
         note = f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve{solves}."
         return side_by_side("What will be done", {name: _column(one) for name, one in self.facts.items()}, note)
 
@@ -73,21 +75,17 @@ def _numbers(problem: Problem) -> dict[str, dict[str, Any]]:
     numbers = {}
     for name, field, value in fields_of(problem.system):
         is_number = isinstance(value, int | float | np.generic | np.ndarray | jax.Array) and not isinstance(value, bool)
+        unit = field.metadata.get("unit", "")
         if isinstance(value, AbstractLeaf):
-            numbers[name] = {"value": str(value)}
+            numbers[name] = {"value": str(value), "unit": unit}
         elif is_number and not field.metadata.get("static", False) and np.ndim(value) == 0:
-            numbers[name] = {"value": float(value)}
-        if name in numbers:
-            numbers[name]["unit"] = field.metadata.get("unit", "")
+            numbers[name] = {"value": float(value), "unit": unit}
     return numbers
 
 
-def _numbers_text(problem: Problem) -> dict[str, str]:
-    texts = {}
-    for name, one in _numbers(problem).items():
-        value = one["value"] if isinstance(one["value"], str) else f"{one['value']:.7g}"
-        texts[name] = value if one["unit"] in ("", "-") else f"{value} {one['unit']}"
-    return texts
+def _text(number: Mapping[str, Any]) -> str:
+    value = number["value"]
+    return f"{value if isinstance(value, str) else f'{value:.7g}'} {number['unit']}".removesuffix(" -").rstrip()
 
 
 def _facts(problem: Problem, samples: int | None) -> dict[str, Any]:
@@ -120,21 +118,16 @@ def _facts(problem: Problem, samples: int | None) -> dict[str, Any]:
 
 
 def _column(facts: Mapping[str, Any]) -> dict[str, str]:
-    sampled = "as many as the study asks for" if facts["samples"] is None else f"{facts['samples']}"
-    size, random = facts["bytes_of_derivatives"], facts["uncertain"] > 0
+    """What is printed of these facts."""
     return {
         "decisions": f"{facts['decisions']}",
         "uncertain numbers": f"{facts['uncertain']}",
-        "instants": "no time" if facts["instants"] is None else f"{facts['instants']}",
-        "expansion": f"order {facts['order']}, {facts['terms']} terms" if random else "none",
+        "instants": f"{facts['instants'] or 'no time'}",
+        "expansion": f"order {facts['order']}, {facts['terms']} terms",
         "collocation points": f"{facts['points']}",
-        "condition number": number(facts["condition_number"], 3),
+        "condition number": f"{facts['condition_number']:.3g}",
         "rows of limits": f"{facts['rows']}",
         "derivatives": "agree with differences" if facts["derivatives_agree"] else "see below",
         "compilation": f"{facts['seconds_to_compile']:.2g} s",
-        "one evaluation": f"{facts['seconds_of_evaluation']:.2g} s",
         "one solve": f"about {_EVALUATIONS * facts['seconds_of_evaluation']:.2g} s",
-        "samples": sampled if random else "one system, on a finer grid",
-        "simulations": f"about {facts['simulations']}",
-        "memory of derivatives": f"{size / 2**20:.2g} MiB" if size < 2**30 else f"{size / 2**30:.2g} GiB",
     }

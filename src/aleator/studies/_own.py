@@ -15,11 +15,11 @@ from aleator._core.border import a_name, meant, one_of, positive, real_array, re
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.reporting import TARGET, Section, Verdict, count, number, words
+from aleator.reporting import TARGET, Section, Verdict
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._study import AbstractStudy, Draft
-from aleator.sweep import Front, TradeOff, pareto, point_name, trade_off, validate_all, workers
+from aleator.sweep import Front, TradeOff, pareto, trade_off, validate_all, workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
@@ -77,9 +77,8 @@ class Study(AbstractStudy):
         self.subtitle = one_of("Study: subtitle", subtitle, str)
         self.samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
         self._target = positive("Study: target", target, below=1.0)
-        expected, swept = "values by the names of constraints", {} if sweeps is None else sweeps
-        swept = _by_name("Study: sweeps", expected, swept, object, 0)
-        self._sweeps = {name: _distinct(f"Study: sweep over '{name}'", values) for name, values in swept.items()}
+        swept = _by_name("Study: sweeps", "values by the names of constraints", sweeps or {}, object, 0)
+        self._sweeps = {name: _bounds("Study: sweeps", self._last, name, values) for name, values in swept.items()}
         expected = "two expressions or more by name"
         self._wishes = {} if wishes is None else _by_name("Study: wishes", expected, wishes, Expression, 2)
         self._points = whole("Study: points", points, least=max(2, len(self._wishes)))
@@ -88,8 +87,6 @@ class Study(AbstractStudy):
             "transcription": one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()"),
         }
         self.workers = None if workers is None else whole("Study: workers", workers)
-        for name, values in self._sweeps.items():
-            _check_sweepable("Study: sweeps", self._last, name, values)
         if quick:
             self._shrink()
 
@@ -125,54 +122,51 @@ class Study(AbstractStudy):
     @override
     def chapter(self, page: Draft) -> None:
         designs, evidence = dict[str, Solution](), dict[str, Evidence]()
-        for name, problem in self.problems.items():
-            page.step(f"design {name}")
-            page.progress(f"design {name}", 0, 1)
-            designs[name] = solve(problem, **self.solving, throw=False)
-            page.progress(f"design {name}: {in_brief(designs[name])}", 1, 1)
-            page.keep("designs", {name: designs[name]})
-        page.unsolved += [f"'{name}' is not solved: {one.why()}" for name, one in designs.items() if not one.ok]
-        first, *trust = reporting.sections(designs, {}, {})
-        page.append(first)
-        page.tables.append(reporting.designs_table(designs, {}))
-        for name, design in designs.items():
-            page.step(f"evidence on {name}")
-            if design.ok:
-                evidence[name] = validate(design, self.samples, seed=self._seed, progress=page.progress)
-                page.keep("evidence", {name: evidence[name]})
-        page.recommend(reporting.proposal(designs, evidence, self._target))
-        page.append(*reporting.evidence_sections(evidence))
-        if evidence:
-            page.add(reporting.violations_table(evidence), printed=True)
-            page.tables.append(reporting.evidence_table(evidence))
-        page.tables.append(reporting.certificate_table(designs))
-        for bound, values in self._sweeps.items():
-            page.step(f"front over {bound}")
-            with executor_of(self.workers) as executor:
-                front = pareto(self._last, bound, values, executor=executor, progress=page.progress, **self.solving)
-            self._show(page, bound, front)
-        if self._wishes:
-            page.step("trade-off")
-            front = trade_off(self._last, self._wishes, self._points, progress=page.progress, **self.solving)
-            self._show(page, " against ".join(self._wishes), front)
-        page.append(*trust)
+        fronts, along = dict[str, Front | TradeOff](), list[Evidence]()
+        try:
+            for name, problem in self.problems.items():
+                page.step(f"design {name}")
+                page.progress(f"design {name}", 0, 1)
+                designs[name] = solve(problem, **self.solving, throw=False)
+                page.progress(f"design {name}: {in_brief(designs[name])}", 1, 1)
+                page.keep("designs", {name: designs[name]})
+            page.unsolved += [f"'{name}' is not solved: {one.why()}" for name, one in designs.items() if not one.ok]
+            for name, design in designs.items():
+                page.step(f"evidence on {name}")
+                if design.ok:
+                    evidence[name] = validate(design, self.samples, seed=self._seed, progress=page.progress)
+                    page.keep("evidence", {name: evidence[name]})
+            page.recommend(reporting.proposal(designs, evidence, self._target))
+            for bound, values in self._sweeps.items():
+                page.step(f"front over {bound}")
+                with executor_of(self.workers) as executor:
+                    how = {"executor": executor, "progress": page.progress, **self.solving}
+                    fronts[bound] = pareto(self._last, bound, values, **how)
+                page.keep("fronts", {bound: fronts[bound]})
+                self._sample_along(page, bound, fronts[bound], along)
+            if self._wishes:
+                page.step("trade-off")
+                name, how = " against ".join(self._wishes), {"progress": page.progress, **self.solving}
+                fronts[name] = trade_off(self._last, self._wishes, self._points, **how)
+                page.keep("trade-offs", {name: fronts[name]})
+                self._sample_along(page, name, fronts[name], along)
+        finally:  # what was found stands on the page, whatever ends the chapter
+            page.append(*reporting.sections(designs, evidence, fronts, along))
+            if designs:
+                page.tables += [reporting.designs_table(designs, evidence), reporting.certificate_table(designs)]
+            if evidence:
+                page.tables.append(reporting.evidence_table(evidence))
 
-    def _show(self, page: Draft, name: str, front: Front | TradeOff) -> None:
-        """Show a front, with evidence on the same systems at each point, so that a choice shows how often it fails."""
-        kind, work = ("fronts", f"front over {name}") if isinstance(front, Front) else ("trade-offs", "trade-off")
-        page.kept = {**page.kept, kind: {**page.kept.get(kind, {}), name: front}}
-        known, is_cut_short = [*page.kept.get("evidence", {}).values()], front.interrupted
-        if not front.interrupted and any(one.ok for one in front.solutions):
-            page.step(f"evidence along the {work}")
+    def _sample_along(self, page: Draft, name: str, front: Front | TradeOff, along: list[Evidence]) -> None:
+        """Evidence on the same systems at each point of a front, so that a choice shows how often it fails."""
+        if any(one.ok for one in front.solutions):
+            page.step(f"evidence along the front over {name}")
             with executor_of(self.workers) as executor:
-                everyone = {"seed": self._seed, "executor": executor, "progress": page.progress}
-                sampled = validate_all(front, self.samples, **everyone)
-            page.kept = {**page.kept, "along": {**page.kept.get("along", {}), name: sampled.by_place}}
-            known, is_cut_short = [*known, *sampled.by_place.values()], sampled.interrupted
-        page.append(reporting.trade_offs_section(page.kept["designs"], {name: front}, known))
-        if is_cut_short:
-            page.add(f"{len(front.solutions)} points of the front over {name} are available.")
-            raise KeyboardInterrupt
+                sampled = validate_all(front, self.samples, seed=self._seed, executor=executor, progress=page.progress)
+            page.keep("along", {name: sampled.by_place})
+            along += sampled.by_place.values()
+            if sampled.interrupted:
+                raise KeyboardInterrupt
 
 
 @final
@@ -196,18 +190,14 @@ class SweptStudy(AbstractStudy):
         workers: int | None = None,
     ):
         problems = problems_of(study)
-        name = list(problems)[-1] if design is None else design
-        if name not in problems:
-            known = f"expected one of {list(problems)}.{meant(name, problems)}"
-            raise ProblemError(f"The study '{study.title}' has no design '{name}'; {known}")
-        self.title, self.subtitle = f"{study.title}: {name} over {bound}", study.subtitle
-        self._values = _distinct("sweep: values", list(values))
-        if not self._values.size or not np.isfinite(self._values).all():
-            raise refusal("sweep: values", "one finite value of the bound at least", self._values.tolist())
-        _check_sweepable("sweep", problems[name], bound, self._values)
+        self._name, self._bound = design or list(problems)[-1], bound
+        if self._name not in problems:
+            known = f"expected one of {list(problems)}.{meant(self._name, problems)}"
+            raise ProblemError(f"The study '{study.title}' has no design '{self._name}'; {known}")
+        self.title, self.subtitle = f"{study.title}: {self._name} over {bound}", study.subtitle
+        self._values = _bounds("sweep: values", problems[self._name], bound, values)
         self.workers = study.workers if workers is None else whole("sweep: workers", workers)
-        self._name, self._bound = name, bound
-        self.problems, self.solving = {name: problems[name]}, study.solving
+        self.problems, self.solving = {self._name: problems[self._name]}, study.solving
 
     @override
     def chapter(self, page: Draft) -> None:
@@ -215,24 +205,18 @@ class SweptStudy(AbstractStudy):
         with executor_of(self.workers) as executor:
             how = {"executor": executor, "progress": page.progress, **self.solving}
             front = pareto(self.problems[self._name], self._bound, self._values, **how)
-        points = sorted(zip(front.values.tolist(), front.points, strict=True), key=lambda point: point[0])
-        solved = {point_name(front.bound, value): one for value, one in points if isinstance(one, Solution) and one.ok}
-        ends = {place: solved[place] for place in [*solved][:1] + [*solved][-1:]}
-        said = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
-        if solved:
-            objectives = words([f"{number(one.objective, 4)} at {place}" for place, one in ends.items()])
-            level, word = ("good", "Swept") if len(solved) == len(self._values) else ("caution", "Partly solved")
-            page.recommend(Verdict(level, word, f"{said}; the objective is {objectives}."))
-        else:
-            why = f"{said}. The first: {front.points[0].why()}" if front.points else f"{said}."
-            page.recommend(Verdict("bad", "Nothing solved", why))
-            page.unsolved += [why] if front.points else []
+        solved, asked = int(front.solved.sum()), len(self._values)
+        said = f"{solved} of {asked} points over {self._bound} are solved."
+        if not solved and front.points:
+            said += f" The first: {front.points[0].why()}"
+            page.unsolved.append(said)
+        word = "Swept" if solved == asked else "Partly solved" if solved else "Nothing solved"
+        page.recommend(Verdict("good" if solved == asked else "caution" if solved else "bad", word, said))
         page.append(Section("Points", reporting.front_blocks({self._name: front}) if front.points else []))
-        if front.interrupted:
-            page.add(f"{len(front.values)} of {len(self._values)} points are available.")
         if front.points:
             page.tables.append(replace(reporting.front_table({"": front}), caption=f"{self._name} over {self._bound}"))
-        page.append(*reporting.sections(ends, {}, {}))
+        if front.interrupted:
+            page.add(f"{len(front.values)} of {len(self._values)} points are available.")
         page.keep("fronts", {self._name: front})
 
 
@@ -243,11 +227,8 @@ def executor_of(processes: int | None) -> AbstractContextManager[Executor | None
 
 def problems_of(study: AbstractStudy) -> dict[str, Problem]:
     """The problems that a study declares. Raises `ProblemError` if there are none, or anything else."""
-    if isinstance(study.problems, Mapping) and not study.problems:
-        raise ProblemError(
-            f"The study '{study.title}' declares no problems: give its class `problems`, by their names."
-        )
-    return _by_name(f"{type(study).__name__}.problems", "problems by their names", study.problems, Problem)
+    what = f"{type(study).__name__}.problems"
+    return _by_name(what, "at least one problem, by its name", study.problems, Problem)
 
 
 def _by_name(what: str, expected: str, given: Any, kind: type[Any], least: int = 1) -> dict[str, Any]:
@@ -257,19 +238,12 @@ def _by_name(what: str, expected: str, given: Any, kind: type[Any], least: int =
     return {a_name(f"{what}: a key", name): one_of(f"{what}: '{name}'", one, kind) for name, one in given.items()}
 
 
-def _distinct(what: str, values: Any) -> np.ndarray:
-    """Values of a bound, each once, in the order in which they are given. Raises `ProblemError` for other things."""
-    return np.array(list(dict.fromkeys(np.ravel(real_array(what, values)).tolist())))
-
-
-def _check_sweepable(what: str, problem: Problem, bound: str, values: np.ndarray) -> None:
-    """Refuse a bound that is not there, or that one number cannot set. Raises `ProblemError`."""
-    limit = words([str(one) for one in problem.named(bound)])
-    for value in values.tolist():
-        try:
-            problem.with_bound(bound, value)
-        except ProblemError as error:
-            raise ProblemError(
-                f"{what}: {value:g} alone cannot be the bound of '{bound}', which is {limit}: sweep a limit of one "
-                "side, or write each side in the study as a limit with a name of its own."
-            ) from error
+def _bounds(what: str, problem: Problem, name: str, values: Any) -> np.ndarray:
+    """Values of a bound, each once, in the order given. Raises `ProblemError` for others than the bound can have."""
+    array = real_array(f"{what}: '{name}'", values)
+    if not array.size:
+        raise refusal(f"{what}: '{name}'", "one value at least", values)
+    distinct = list(dict.fromkeys(np.ravel(array).tolist()))
+    for value in distinct:
+        problem.with_bound(name, value)
+    return np.array(distinct)

@@ -1,10 +1,10 @@
 """Quantities of study files, such as `30 kN/m`, `27.645 +0.05/-0.02 mm`, `40 ± 4 N/m`, as numbers of the model."""
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Any
 
+from aleator._core.border import real
 from aleator._core.errors import ProblemError
 from aleator.statistics import PURE, measure
 from aleator.uncertainty import Toleranced, toleranced
@@ -29,7 +29,7 @@ def amount(text: float | str, unit: str) -> float | Toleranced:
     Raises `ProblemError` for a text that is no quantity, and for a unit that cannot be converted.
     """
     if not isinstance(text, str):
-        return float(text)
+        return real("a quantity", text, "a finite number, or a text such as '30 kN/m'")
     found = _QUANTITY.fullmatch(text.replace("\N{MINUS SIGN}", "-"))
     if found is None:
         raise ProblemError(f"expected a quantity, such as '30 kN/m'; received '{text}'.")
@@ -39,22 +39,23 @@ def amount(text: float | str, unit: str) -> float | Toleranced:
         raise _no_tolerances(text)
     if _NUMBER_IN_UNIT.match(given):
         raise ProblemError(f"expected one number, with a decimal point, and its unit; received '{text}'.")
-    zone = _zone(found, text)
-    is_absolute = share and given == share["percent"] and _is_pure(unit) and (len(zone) == 1 or repeated == given)
-    if share and given != unit and not is_absolute:
+    zone = _zone(found["number"], found["deviations"], text)
+    pure = measure(unit)
+    is_pure_share = share and given == share["percent"] and pure is not None and not pure.powers
+    if share and given != unit and not (is_pure_share and (len(zone) == 1 or repeated == given)):
         example = _written({"nominal": 50.0, "tolerance": 10.0}, unit)
         raise ProblemError(f"expected absolute amounts, such as {example}, no percentage; received '{text}'.")
     scale = _scale(given, unit, zone)
-    scaled: dict[str, Any] = {name: _finite(scale * number, text) for name, number in zone.items()}
+    scaled: dict[str, Any] = {name: real(f"'{text}'", scale * number) for name, number in zone.items()}
     return Toleranced(**scaled) if len(zone) > 1 else scaled["nominal"]
 
 
-def _zone(found: re.Match[str], text: str) -> dict[str, float]:
+def _zone(nominal: str, deviations: str, text: str) -> dict[str, float]:
     """The numbers of a quantity: its nominal value, and its tolerances by the names that `Toleranced` has for them."""
-    if not found["deviations"].strip():
-        return {"nominal": float(found["number"])}
+    if not deviations.strip():
+        return {"nominal": float(nominal)}
     try:
-        zone = toleranced(found["number"] + found["deviations"]).parameters
+        zone = toleranced(nominal + deviations).parameters
     except ProblemError as error:
         raise _no_tolerances(text) from error
     return {name: float(zone[name]) for name in ("nominal", "tolerance", "plus", "minus") if name in zone}
@@ -62,15 +63,20 @@ def _zone(found: re.Match[str], text: str) -> dict[str, float]:
 
 def _written(zone: Mapping[str, float], unit: str) -> str:
     """A quantity as a study file may have it."""
-    nominal, end = f"'{zone['nominal']:.10g}", f" {unit}'" if unit and unit != PURE else "'"
+    said = f"{zone['nominal']:.10g}"
     if "tolerance" in zone:
-        return f"{nominal} ± {zone['tolerance']:.10g}{end}"
-    return f"{nominal} {zone['plus']:+.10g}/{-zone['minus']:+.10g}{end}" if "plus" in zone else f"{nominal}{end}"
+        said += f" ± {zone['tolerance']:.10g}"
+    elif "plus" in zone:
+        said += f" {zone['plus']:+.10g}/{-zone['minus']:+.10g}"
+    return f"'{said}'" if unit in ("", PURE) else f"'{said} {unit}'"
 
 
-def _is_pure(unit: str) -> bool:
-    found = measure(unit)
-    return found is not None and not found.powers
+def plain(text: float | str, unit: str) -> float:
+    """A quantity without tolerances."""
+    found = amount(text, unit)
+    if isinstance(found, Toleranced):
+        raise ProblemError(f"expected a quantity without tolerances; received '{text}'.")
+    return found
 
 
 def _no_tolerances(text: str) -> ProblemError:
@@ -82,31 +88,15 @@ def _no_tolerances(text: str) -> ProblemError:
     )
 
 
-def plain(text: float | str, unit: str) -> float:
-    """A quantity without tolerances."""
-    found = amount(text, unit)
-    if isinstance(found, Toleranced):
-        raise ProblemError(f"expected a quantity without tolerances; received '{text}'.")
-    return found
-
-
-def _finite(number: float, text: str) -> float:
-    if not math.isfinite(number):
-        raise ProblemError(f"expected a finite quantity; received '{text}'.")
-    return number
-
-
 def _scale(given: str, wanted: str, zone: Mapping[str, float]) -> float:
     """What numbers in one unit are multiplied by to be in the other."""
-    if not given:
+    if not given or given == wanted:
         return 1.0
     if not wanted:
         raise ProblemError(
             f"expected a number without a unit, since the model declares none here (`al.parameter('kg')` does for a "
             f"number, `units = {{...}}` of the system for outputs); received the unit '{given}'."
         )
-    if given == wanted:
-        return 1.0
     one, other = measure(given), measure(wanted)
     if one is None or other is None or one.powers != other.powers:
         raise ProblemError(
@@ -114,8 +104,7 @@ def _scale(given: str, wanted: str, zone: Mapping[str, float]) -> float:
             "with '^', and brackets around a product below a fraction stroke: 'N m', 'kg m^2', 'J/(kg K)'."
         )
     if one.zero != other.zero:
-        size = one.size / other.size
-        scaled = {name: size * number for name, number in zone.items()}
+        scaled = {name: one.size / other.size * number for name, number in zone.items()}
         there = scaled | {"nominal": scaled["nominal"] + (one.zero - other.zero) / other.size}
         difference = "" if len(zone) > 1 else f", or {_written(scaled, wanted)} if it is a difference or a spread"
         raise ProblemError(

@@ -64,7 +64,7 @@ class AbstractStudy(abc.ABC):
 
 @final
 class CaseStudy(AbstractStudy):
-    """A study of the list, of a module with `problems()`, `chapter(page, quick)`, and texts.
+    """A study of the list: a module with `problems()`, `chapter(page, quick)`, and texts.
 
     - `TITLE`, `SUBTITLE`, `GLOSSARY`: of the page; `LEFT_OUT`: what a quick run skips.
     """
@@ -109,26 +109,28 @@ class Draft:
 
     def step(self, name: str) -> None:
         """Begin a part of the work, which ends the one before: a line of progress, nothing on the page."""
-        self._end_step()
+        if self.present:
+            self.finished.append(self.present)
+            self._ended(self.present)
         self.present = name
-        self._begun(name)
+        if name:
+            self._begun(name)
 
-    def section(self, heading: str, *, folded: bool = False) -> None:
-        """Begin a section, and a step of its name; a reader opens it if it is `folded`."""
+    def section(self, heading: str, *blocks: Block | str, folded: bool = False, printed: bool = False) -> None:
+        """Begin a section, and a step of its name, with what is there already; a reader opens it if it is `folded`."""
         self.step(heading)
         self.append(Section(heading, [], folded))
+        self.add(*blocks, printed=printed)
 
     def append(self, *sections: Section) -> None:
         """Append sections that are there already."""
         self._sections.extend(one_of("page.append", section, Section) for section in sections)
 
-    def add(self, *blocks: Block | str | None, printed: bool = False) -> None:
+    def add(self, *blocks: Block | str, printed: bool = False) -> None:
         """Append texts, tables, figures to the present section; tables are `printed` on the terminal as well."""
         if not self._sections:
             self.section("Overview")
         for block in blocks:
-            if block is None:
-                continue
             block = Text([block]) if isinstance(block, str) else one_of("page.add", block, get_args(Block), "a Table")
             self._sections[-1] = replace(self._sections[-1], blocks=[*self._sections[-1].blocks, block])
             if printed and isinstance(block, Table):
@@ -143,8 +145,9 @@ class Draft:
         self.kept = _joined(self.kept, kept)
         if refused:
             raise refused[0]
-        if any(_is_cut_short(one) for one in reporting.by_place(kept).values()):
-            raise KeyboardInterrupt
+        for one in reporting.by_place(kept).values():  # verbs return what they have found until Ctrl-C
+            if getattr(one, "interrupted", False) is True or getattr(one, "status", None) is Status.INTERRUPTED:
+                raise KeyboardInterrupt
 
     def recommend(self, verdict: Verdict) -> None:
         """Say what to build, on the first screen; see `aleator.extending.recommendation`."""
@@ -163,7 +166,7 @@ class Draft:
         try:
             self.study.check_declaration()
             self.study.chapter(self)
-            self._end_step()
+            self.step("")
         except KeyboardInterrupt:
             self.stopped = True
             raise
@@ -205,12 +208,6 @@ class Draft:
         about = self.study.title, self.study.subtitle, self._verdict()
         return reporting.whole_page(*about, [ended, *self._sections], self.kept, glossary)
 
-    def _end_step(self) -> None:
-        if self.present:
-            self.finished.append(self.present)
-            self._ended(self.present)
-        self.present = ""
-
     def _end(self) -> str:
         where = f" in '{self.present}'" if self.present else ""
         how = "An error ended the study" if self.failures else "The study was stopped early"
@@ -220,15 +217,14 @@ class Draft:
         """The recommendation; none after a failure, and none where the study was stopped before it."""
         if self.failures:
             return Verdict("bad", "Failed", "No recommendation, because of an error.", self.failures)
-        verdict = self._recommended
-        if verdict is None:
-            word, why = (
-                ("Stopped early", self._end()) if self.stopped else ("No recommendation", "The study makes none.")
-            )
+        if self._recommended is None:
+            word, why = "No recommendation", "The study makes none."
+            if self.stopped:
+                word, why = "Stopped early", self._end()
             return Verdict("caution", word, f"Nothing to build yet. {why}")
-        if not (skipped := self.study.left_out):
-            return verdict
-        return replace(verdict, rows=[*verdict.rows, (_LEFT_OUT, f"This was a quick run, without {skipped}.")])
+        skipped = f"This was a quick run, without {self.study.left_out}."
+        more = [(_LEFT_OUT, skipped)] if self.study.left_out else []
+        return replace(self._recommended, rows=[*self._recommended.rows, *more])
 
 
 def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
@@ -238,8 +234,3 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
         before = joined.get(name)
         joined[name] = _joined(before, one) if reporting.is_group(before) and reporting.is_group(one) else one
     return joined
-
-
-def _is_cut_short(result: Any) -> bool:
-    """Whether Ctrl-C has ended it: verbs return what they have found until then."""
-    return getattr(result, "interrupted", False) is True or getattr(result, "status", None) is Status.INTERRUPTED

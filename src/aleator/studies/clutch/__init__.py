@@ -26,6 +26,9 @@ DEVIATION = (NOMINAL - 0.6, NOMINAL + 0.6)
 
 SPECIFICATIONS = {"limits": LIMITS, "deviation": DEVIATION}
 
+EXACT = 0.6590101411246803
+"""Three standard deviations of the pressure angle, degrees: Gauss quadrature of its closed form."""
+
 COST = "Σ 1/T"
 TIGHTEST, WIDEST = 0.002, 0.2
 
@@ -53,20 +56,6 @@ def pressure_angle(
     return np.rad2deg(np.arccos((a + c) / (e - c)))
 
 
-def exact_variation() -> float:
-    """Three standard deviations of the pressure angle, degrees: Gauss quadrature of the closed form.
-
-    It is independent of the methods that it verifies: it uses no vector loop, Newton's method or expansion.
-    """
-    nodes, weights = np.polynomial.hermite_e.hermegauss(24)
-    germs = np.meshgrid(nodes, nodes, nodes)
-    angle = pressure_angle(
-        *(MEANS[name] + TOLERANCES[name] / 3 * germ for name, germ in zip(MEANS, germs, strict=True))
-    )
-    weight = np.prod(np.meshgrid(weights, weights, weights), axis=0)
-    return 3 * float(np.sqrt(np.average((angle - np.average(angle, weights=weight)) ** 2, weights=weight)))
-
-
 def worst_case(tolerances: Mapping[str, float]) -> tuple[float, float]:
     """Smallest and largest pressure angle with each dimension anywhere within its tolerance, degrees.
 
@@ -78,13 +67,6 @@ def worst_case(tolerances: Mapping[str, float]) -> tuple[float, float]:
     return least, largest
 
 
-def broken(tolerances: Mapping[str, float]) -> list[float]:
-    """The limits of the function that the worst case breaks by more than rounding."""
-    (least, largest), (lower, upper) = worst_case(tolerances), LIMITS
-    rounding = 1e-9
-    return [lower] * (least < lower - rounding) + [upper] * (largest > upper + rounding)
-
-
 def exact_rejects(tolerances: Mapping[str, float], limits: tuple[float, float] = LIMITS) -> tuple[float, float]:
     """The shares of assemblies below and above the limits of a specification, of normal parts.
 
@@ -92,32 +74,12 @@ def exact_rejects(tolerances: Mapping[str, float], limits: tuple[float, float] =
     """
     tails = []
     for limit, sign in zip(limits, (1.0, -1.0), strict=True):
-        weights, room = _room(limit)
+        cosine = float(np.cos(np.deg2rad(limit)))
+        weights = {"a": 1.0, "c": 1.0 + cosine, "e": -cosine}
+        room = -sum(weights[name] * MEANS[name] for name in MEANS)
         deviation = np.sqrt(sum((weights[name] * tolerances[name] / 3) ** 2 for name in MEANS))
         tails.append(float(scipy.special.ndtr(-sign * room / deviation)))
     return tails[0], tails[1]
-
-
-def worst_case_tolerances() -> dict[str, float]:
-    """The cheapest tolerances, by the sum of 1/T, whose worst case stays within the limits, mm.
-
-    At a limit, the worst case is linear in the tolerances: `Σ w T <= room`. Of such tolerances the cheapest are
-    `T = room / (sqrt(w) Σ sqrt(w))`. The limit with less room decides, since the weights at both limits agree within
-    half a percent, their rooms only within a tenth.
-    """
-    weights, room = min((_room(limit) for limit in LIMITS), key=lambda one: abs(one[1]))
-    roots = {name: float(np.sqrt(abs(weight))) for name, weight in weights.items()}
-    return {name: abs(room) / (root * sum(roots.values())) for name, root in roots.items()}
-
-
-def _room(limit: float) -> tuple[dict[str, float], float]:
-    """How `cos(limit) (e - c) - (a + c)`, mm, falls with each dimension, and its value at the nominal dimensions.
-
-    It is positive where the angle is above the limit.
-    """
-    cosine = float(np.cos(np.deg2rad(limit)))
-    weights = {"a": 1.0, "c": 1.0 + cosine, "e": -cosine}
-    return weights, -sum(weights[name] * MEANS[name] for name in MEANS)
 
 
 def tolerances_of(solution: al.Solution) -> dict[str, float]:

@@ -5,13 +5,8 @@ servomotor drives it from rest to rest; the way back is the same motion reversed
 closed by two constraints, whose multipliers are the force in the rocker's pin. Lengths vary within their tolerances,
 and each pin sits somewhere in its clearance.
 
-There are three designs, from one problem that differs only in numbers, so that all are solved by one compiled program:
-
-- dOpt chooses lengths and the tool's place on the coupler for the mean linkage;
-- uOpt chooses them for all linkages that the given tolerances allow;
-- aOpt chooses tolerances and clearances as well, at minimum cost, so that the tool stays within a given zone.
-
-Lengths in mm, forces and masses in SI units.
+The three designs are one problem that differs only in numbers, so that all are solved by one compiled program. Lengths
+in mm, forces and masses in SI units.
 """
 
 import math
@@ -48,14 +43,9 @@ WIDTHS = {f"{name}.tolerance": 0.1 for name in LENGTHS} | {"crank_play": 0.05, "
 """The given tolerances and radial clearances, mm: three standard deviations."""
 
 PRICES = {
-    "crank.tolerance": 0.1,
-    "coupler.tolerance": 0.2,
-    "rocker.tolerance": 0.1,
-    "ground.tolerance": 0.2,
-    "along.tolerance": 0.2,
-    "across.tolerance": 0.1,
-    "crank_play": 0.05,
-    "rocker_play": 0.05,
+    **dict.fromkeys(("crank.tolerance", "rocker.tolerance", "across.tolerance"), 0.1),
+    **dict.fromkeys(("coupler.tolerance", "ground.tolerance", "along.tolerance"), 0.2),
+    **dict.fromkeys(("crank_play", "rocker_play"), 0.05),
 }
 """The price of each width, $ mm: assumed, and dearer where distances are long."""
 
@@ -257,11 +247,6 @@ def robust_problem(sigmas: float = SIGMAS) -> al.Problem:
 def nominal_problem() -> al.Problem:
     """dOpt: the same for the mean linkage alone."""
     return robust_problem(sigmas=0.0)
-
-
-def mean_problem() -> al.Problem:
-    """The deterministic design: one linkage of mean numbers, without what spreads add to a mean by curvature."""
-    return al.deterministic(nominal_problem())
 
 
 def allocation_problem(zone: float = ZONE) -> al.Problem:

@@ -1,12 +1,7 @@
 """Suspension of a quarter car: robust design and optimal apportionment (dissertation, sections 6.4 and 7.4).
 
 A passive suspension carries a car over four bumps. A soft, weakly damped one rides well but needs travel; road holding
-needs damping. Five parameters are uncertain. There are three designs, from one problem with decisions in different
-places:
-
-- dOpt chooses the nominal spring and damper for the nominal car (equation 113);
-- uOpt chooses them for all cars that the uncertainty allows (equations 116-120);
-- aOpt chooses the manufacturing spreads as well, at minimum cost (equations 125-128).
+needs damping. Five parameters are uncertain. The three designs are one problem with decisions in different places.
 """
 
 from importlib import resources

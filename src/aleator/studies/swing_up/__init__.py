@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import aleator as al
+from aleator.studies.two_link_arm import TwoLinks
 
 MASS_2 = al.Uniform(1.0, std=0.1)
 TORQUE = 10.0
@@ -41,40 +42,23 @@ FAMILY_DURATION = 6.36
 random, most of which end elsewhere or nowhere. `benchmarks/swing_up_starts.py` searches in this way."""
 
 
-class DoublePendulum(al.Mechanical):
+class DoublePendulum(TwoLinks):
     """Two uniform rods under gravity with viscous friction at both joints; only the first joint has a torque.
 
-    `q1` is measured from upright, `q2` from the first link. The inertia of the second link scales with its mass.
+    `q1` is measured from upright. The inertia of the second link scales with its mass.
     """
 
-    names = ("q1", "q2")
     actuator_names = ("q1_torque",)
     units: ClassVar = {
-        **dict.fromkeys(names, "rad"),
+        **dict.fromkeys(TwoLinks.names, "rad"),
         **dict.fromkeys(("q1_rate", "q2_rate"), "rad/s"),
         "q1_torque": "N m",
         **dict.fromkeys(("tip_x", "tip_y"), "m"),
     }
 
-    mass_1: al.Number = al.parameter("kg", positive=True, default=1.0)
-    mass_2: al.Number = al.parameter("kg", positive=True, default=1.0)
     length_1: al.Number = al.parameter("m", positive=True, default=0.5)
-    length_2: al.Number = al.parameter("m", positive=True, default=1.0)
     damping: al.Number = al.parameter("N m s/rad", default=0.1)
     gravity: al.Number = al.parameter("m/s²", default=9.81)
-
-    def mass_matrix(self, q: Float[Array, " 2"]) -> Float[Array, "2 2"]:
-        """`M(q)`, kg m²."""
-        l_1, l_2 = self.length_1, self.length_2
-        inner = (self.mass_1 / 3 + self.mass_2) * l_1**2
-        outer = self.mass_2 * l_2**2 / 3
-        coupling = self.mass_2 * l_1 * l_2 / 2 * jnp.cos(q[1])
-        return jnp.array([[inner + outer + 2 * coupling, outer + coupling], [outer + coupling, outer]])
-
-    def coriolis(self, q: Float[Array, " 2"], v: Float[Array, " 2"]) -> Float[Array, "2 2"]:
-        """`C(q, v)`, kg m²/s."""
-        h = self.mass_2 * self.length_1 * self.length_2 / 2 * jnp.sin(q[1])
-        return jnp.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
 
     def forces(self, q: Float[Array, " 2"], v: Float[Array, " 2"]) -> Float[Array, " 2"]:
         """Friction and weight, N m: both links are in unstable equilibrium when upright."""

@@ -16,23 +16,12 @@ TORQUE = 10.0
 OBSTACLE = al.shapes.Sphere((0.65, 0.80), 0.30)
 
 
-class TwoLinkArm(al.Mechanical):
-    """Two uniform rods and a point mass at the tip; `q2` is measured from the first link, and gravity does no work.
-
-    `obstacle` is a shape that the links must avoid.
-    """
+class TwoLinks(al.Mechanical):
+    """Two uniform rods and a point mass at the tip; `q2` is measured from the first link."""
 
     names = ("q1", "q2")
-    units: ClassVar = {
-        **dict.fromkeys(names, "rad"),
-        **{f"{name}_rate": "rad/s" for name in names},
-        **{f"{name}_acceleration": "rad/s²" for name in names},
-        **{f"{name}_torque": "N m" for name in names},
-        **dict.fromkeys(("elbow_x", "elbow_y", "tip_x", "tip_y", "gap_1", "gap_2"), "m"),
-    }
 
-    payload: al.Number = al.parameter("kg", positive=True)
-    obstacle: al.shapes.Sphere = OBSTACLE
+    payload: al.Number = 0.0
     mass_1: al.Number = al.parameter("kg", positive=True, default=1.0)
     mass_2: al.Number = al.parameter("kg", positive=True, default=1.0)
     length_1: al.Number = al.parameter("m", positive=True, default=1.0)
@@ -50,6 +39,21 @@ class TwoLinkArm(al.Mechanical):
         """`C(q, v)`, kg m²/s."""
         h = (self.mass_2 / 2 + self.payload) * self.length_1 * self.length_2 * jnp.sin(q[1])
         return jnp.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
+
+
+class TwoLinkArm(TwoLinks):
+    """The arm in the horizontal plane, where gravity does no work, with an `obstacle` that the links must avoid."""
+
+    units: ClassVar = {
+        **dict.fromkeys(TwoLinks.names, "rad"),
+        **{f"{name}_rate": "rad/s" for name in TwoLinks.names},
+        **{f"{name}_acceleration": "rad/s²" for name in TwoLinks.names},
+        **{f"{name}_torque": "N m" for name in TwoLinks.names},
+        **dict.fromkeys(("elbow_x", "elbow_y", "tip_x", "tip_y", "gap_1", "gap_2"), "m"),
+    }
+
+    payload: al.Number = al.parameter("kg", positive=True)
+    obstacle: al.shapes.Sphere = OBSTACLE
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
         """The positions of elbow and tip, and the links' distances from the obstacle, m."""

@@ -4,22 +4,19 @@ import numpy as np
 
 import aleator as al
 from aleator.reporting import Scene, Schematic
-from aleator.studies._motion import Linkage
-from aleator.studies._shared import system
+from aleator.studies._shared import Linkage, system
 from aleator.studies._study import Draft
-from aleator.studies.two_link_arm import OBSTACLE, TARGET
-
-CLEAR = ("gap_1", "gap_2", "elbow_x", "tip_x")
-"""The distances from obstacle and wall."""
+from aleator.studies.two_link_arm import OBSTACLE, TARGET, TORQUE
 
 ARM = Linkage(
     elbow=lambda outputs: np.stack([outputs["elbow_x"], outputs["elbow_y"]], axis=-1),
     posture=TARGET,
-    target=(np.cos(TARGET[0]) + np.cos(sum(TARGET)), np.sin(TARGET[0]) + np.sin(sum(TARGET))),
+    target=(float(np.cos(TARGET[0]) + np.cos(sum(TARGET))), float(np.sin(TARGET[0]) + np.sin(sum(TARGET)))),
+    torques={"τ₁": "q1_torque", "τ₂": "q2_torque"},
+    limit=TORQUE,
+    limits=dict.fromkeys(("gap_1", "gap_2", "elbow_x", "tip_x"), (0.0, np.inf)),
     scene=Scene(((float(OBSTACLE.center[0]), float(OBSTACLE.center[1]), float(OBSTACLE.radius)),), wall=0.0),
-    broken=lambda family: np.any([family.systems[name].min(axis=1) < 0 for name in CLEAR], axis=0),
 )
-TORQUES = {"τ₁": "q1_torque", "τ₂": "q2_torque"}
 
 
 def arm_schematic(page: Draft, payload: al.Uniform) -> Schematic:

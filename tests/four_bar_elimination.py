@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 import aleator as al
-from aleator._core.border import Progress, silent
-from aleator.studies.four_bar import ANGLES, DURATION, HEIGHT, LENGTHS, SIGMAS, TRANSMISSION, ZONE
+from aleator.studies.four_bar import ANGLES, HEIGHT, LENGTHS, SIGMAS, TRANSMISSION, ZONE
 
 ALONG_STROKE = 81
 AT_ONCE = 20_000
@@ -90,24 +89,16 @@ def crank_angles(count: int = ALONG_STROKE) -> Float[np.ndarray, " angles"]:
     return np.linspace(*ANGLES, count)
 
 
-def swing(count: int = 61) -> tuple[np.ndarray, np.ndarray]:
-    """Angles of the crank, rad, evenly spaced in time, and the instants, s: the quintic from rest to rest."""
-    share = np.linspace(0.0, 1.0, count)
-    return ANGLES[0] + (ANGLES[1] - ANGLES[0]) * share**3 * (10 - 15 * share + 6 * share**2), DURATION * share
-
-
 def count_linkages(
     lengths: Mapping[str, float],
     widths: Mapping[str, float],
     samples: int,
     *,
     seed: int = 3,
-    progress: Progress = silent,
 ) -> Counts:
     """Assemble `samples` linkages of normal dimensions, and count those that leave the zone or transmit badly."""
     largest, smallest, sums = [], [], np.zeros((2, ALONG_STROKE))
     for done in range(0, samples, AT_ONCE):
-        progress("counting linkages", done, samples)
         count = min(AT_ONCE, samples - done)
         found = drawn_postures(lengths, widths, count, seed=seed + done, instants=crank_angles())
         deviation = found.tool[..., 1] - HEIGHT
