@@ -8,7 +8,7 @@ from jaxtyping import Float
 from aleator._core.parallel import heeding
 from aleator.nlp import population_front
 from aleator.sweep._runner import Runner
-from aleator.sweep._trade_off import Line, efficient, far_apart
+from aleator.sweep._trade_off import Line, efficient
 from aleator.sweep._wishes import LEVEL, Design, Wishes, without_level
 from aleator.transcription import DEFAULT, valued_by
 
@@ -19,9 +19,11 @@ _HELD = 1e-6
 def crowd(
     wishes: Wishes, anchors: Sequence[Design], points: int, evaluations: int, seed: int, run: Runner
 ) -> list[Line]:
-    """Lines through designs of a population spread over the front, at most `points`, as far apart as can be.
+    """Lines through the efficient designs of a population that spreads over the front.
 
-    Ctrl-C only ends the population. `anchors`: the best designs of the wishes, of its first generation.
+    - `anchors`: the best designs of the wishes, of its first generation; `points`: of the front that are asked for.
+
+    Ctrl-C only ends the population.
     """
     transcribed = wishes.transcribed(DEFAULT)
     program, places = valued_by(run.executor, transcribed.program, "trade_off"), transcribed.places
@@ -57,10 +59,6 @@ def crowd(
         if not seen:
             raise
         run.interrupted = True
-    # The anchors are on the front already.
-    known = np.array([one.values for one in anchors])
     every, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
-    is_best = efficient(reached, np.zeros(len(known)))
-    every, reached = every[is_best], reached[is_best]
-    chosen = far_apart(np.concatenate([known, reached]), points, taken=len(known))
-    return [Line(reached[i - len(known)], without_level(places.named(every[i - len(known)]))) for i in chosen]
+    best = np.flatnonzero(efficient(reached, np.zeros(len(wishes.names))))
+    return [Line(reached[i], without_level(places.named(every[i]))) for i in best]

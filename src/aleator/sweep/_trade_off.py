@@ -1,8 +1,8 @@
 """`TradeOff`: a front of designs; which of them are efficient, the hypervolume they dominate, even places on it."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -107,51 +107,36 @@ def hypervolume(points: Float[np.ndarray, "n wishes"], reference: Float[np.ndarr
     )
 
 
-# Points that are nearer to one another, as a part of their range, are the same place.
-_APART = 1e-3
+def across(scaled: Float[np.ndarray, "*k wishes"]) -> Float[np.ndarray, "*k wishes"]:
+    """The places of scaled wishes beside one another, seen along the direction in which all get better alike."""
+    return scaled - scaled.mean(axis=-1, keepdims=True)
 
 
-def simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
-    """So many points spread evenly over the inside and the edges of a simplex, without its corners."""
-    parts = 1
-    while len(inner := _lattice(size, parts)) < count:
-        parts += 1
-    return inner if len(inner) == count else [inner[i] for i in sorted(far_apart(np.array(inner), count))]
+def simplex(size: int, count: int) -> Float[np.ndarray, "k wishes"]:
+    """At least so many points spread evenly over the inside and the edges of a simplex, without its corners."""
+    parts, points = 1, np.zeros((0, size))
+    while len(points) < count:
+        parts *= 2
+        points = _lattice(size, parts)
+    return points
 
 
-def box(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
-    """Starts of so many parallel lines that pass evenly through a unit box in the direction of its diagonal.
+def box(size: int, count: int) -> Float[np.ndarray, "k wishes"]:
+    """Starts of at least so many parallel lines that pass evenly through a unit box in the direction of its diagonal.
 
     They are points of a lattice on the plane through the box's middle whose line meets it, for fronts of which no
-    simplex between the best designs is known; each is as far as can be from those before.
+    simplex between the best designs is known.
     """
-    parts, inside = 1, list[Float[np.ndarray, " wishes"]]()
-    while len(inside) < count:
-        parts += 1
-        shifted = ((size - 1) * (one - 1 / size) + 0.5 for one in _lattice(size, parts))
-        inside = [one for one in shifted if np.ptp(one) < 1.0]
-    return [inside[i] for i in far_apart(np.array(inside), count)]
+    parts, points = 1, np.zeros((0, size))
+    while len(points) < count:
+        parts *= 2
+        shifted = (size - 1) * (_lattice(size, parts) - 1 / size) + 0.5
+        points = shifted[np.ptp(shifted, axis=1) < 1.0]
+    return points
 
 
-def far_apart(values: Float[np.ndarray, "k wishes"], count: int, taken: int = 0) -> list[int]:
-    """The indices of at most so many points, each as far as can be from those before and from the first few, which are
-    taken already.
-    """
-    if len(values) <= taken:
-        return []
-    spread = np.ptp(values, axis=0)
-    scaled = values / np.where(spread > 0, spread, 1.0)
-    chosen = list(range(taken)) or [int(np.argmin(scaled[:, 0]))]
-    while len(chosen) < min(count + taken, len(values)):
-        away = np.abs(scaled[:, None] - scaled[chosen][None]).max(axis=2).min(axis=1)
-        if not away.max() > _APART:
-            break
-        chosen.append(int(np.argmax(away)))
-    return chosen[taken:]
-
-
-def _lattice(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
+def _lattice(size: int, parts: int) -> Float[np.ndarray, "k wishes"]:
     """All sums of multiples of `1 / parts` that make one, but for the corners (Das and Dennis 1998)."""
-    bars = combinations(range(parts + size - 1), size - 1)
-    every = (np.diff([-1, *one, parts + size - 1]) - 1 for one in bars)
-    return [one / parts for one in every if one.max() < parts]
+    bars = np.array(list(itertools.combinations(range(parts + size - 1), size - 1)))
+    every = np.diff(bars, axis=1, prepend=-1, append=parts + size - 1) - 1
+    return every[every.max(axis=1) < parts] / parts

@@ -4,10 +4,10 @@ First come the anchors, the best designs of each wish, at which the others are a
 worse; then further points on lines through their wishes, each chosen by those before.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, TypeAlias, final, get_args
+from typing import Any, Literal, TypeAlias, final, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,7 +21,7 @@ from aleator.solving import check_search, solve
 from aleator.sweep._population import crowd
 from aleator.sweep._portfolio import portfolio
 from aleator.sweep._runner import Runner, finished, running
-from aleator.sweep._trade_off import Line, TradeOff, box, efficient, simplex
+from aleator.sweep._trade_off import Line, TradeOff, across, box, efficient, simplex
 from aleator.sweep._wishes import Compromise, Design, Wishes
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.uncertainty import refuse_choices
@@ -34,12 +34,12 @@ _CONSTANT, _SAME = 1e-9, 1e-5
 # What a wish may give up, as a part of its range, while the others are improved. An improvement that is not many times
 # what the price of the wish makes of that has been bought by it.
 _GIVEN_UP, _BOUGHT, _STEEPER = 1e-7, 20.0, 1.1
-# A gap of the front is a hole if lines between its ends, down to this part of the whole, end upon them.
+# Lines that are nearer to one another, or to a design, as parts of the whole, are the same.
 _NARROWEST = 1e-3
 # Anchors whose differences span less than this part of their range in some direction lie on no simplex.
 _FLAT = 1e-3
-# So many lines at most, for each point asked for, where lines may pass by the front.
-_LINES = 3
+# So many lines at most for each point asked for, since some pass by the front, of so many among which to choose.
+_LINES, _CHOICES = 2, 20
 
 
 def trade_off(
@@ -63,14 +63,14 @@ def trade_off(
       the best ones of the wishes included. There are fewer where some turn out to be the same, as `print` tells;
     - `method`: how points are chosen. `"boundary"`: along parallel lines from between the best designs of each wish
       towards better ones (normal boundary intersection, Das and Dennis 1998, in the form of Pascoletti and Serafini
-      1984), where fronts may be concave; for two wishes the largest gaps are filled, until they are proven holes. For
-      three or more, parts of the front that lie beyond the best designs are not reached, unless these coincide: lines
-      then cross the whole box between best and worst. `"population"`: a population spreads over the whole front
+      1984), where fronts may be concave; each line is as far from the points before as can be. For three wishes or
+      more, parts of the front that lie beyond the best designs are not reached, unless these coincide: lines then cross
+      the whole box between best and worst. `"population"`: a population spreads over the whole front
       (NSGA-II, Deb et al. 2002, of the extra `fronts`), for fronts in parts and designs in many basins; its designs are
       starts of lines through them, which lead to the front itself. A small share of all wishes in every objective keeps
       designs away at which a wish could be better at no cost (Mavrotas 2009);
-    - `solver`, `transcription`: those of `al.solve`, which certifies every point. Each point starts from its nearest
-      neighbour, from the problem's own start where that fails, and then by `al.solvers.Slsqp()` unless a solver is
+    - `solver`, `transcription`: those of `al.solve`, which certifies every point. Each point starts from the best
+      known design on its line, from the problem's own start where that fails, and then by `al.solvers.Slsqp()` unless a solver is
       given. One that ends at a known design is sought again from between its neighbours;
     - `starts`: local searches for each point, all but one from random starts, for problems with several optima, whose
       fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`);
@@ -98,11 +98,9 @@ def trade_off(
     search = Search(Wishes(problem, wishes), points, transcription, solver, starts, executor)
     with running("trade_off", lambda: search.designs, progress, executor) as run:
         search.find_anchors(run)
-        if method == "population":
-            further = points - len(wishes)
-            search.find_along(crowd(search.wishes, search.designs, further, evaluations, seed, run), run)
-        else:
-            search.find_along(search.lines(), run)
+        is_spread = method == "population"
+        lines = crowd(search.wishes, search.designs, points, evaluations, seed, run) if is_spread else search.lines()
+        search.find_along(lines, run)
     return search.result(run.interrupted)
 
 
@@ -121,15 +119,6 @@ def _check_wishes(problem: Problem, wishes: Mapping[str, Expression]) -> None:
                 f"here, so that nothing would hold it: add al.value('{excess}') to a wish, or give the problem before "
                 "al.soft."
             )
-
-
-class Gap(NamedTuple):
-    """A gap of a front of two wishes: its places on the line between the anchors, from 0 to 1, and the points there."""
-
-    first: float
-    last: float
-    before: Float[np.ndarray, " wishes"]
-    after: Float[np.ndarray, " wishes"]
 
 
 @final
@@ -152,7 +141,7 @@ class Search:
         self.count = len(self.wishes.names)
         self._least = np.full(self.count, np.inf)  # of each wish alone
         self._failed: list[str] = []
-        self._holes: list[Gap] = []
+        self._tried: list[Float[np.ndarray, " wishes"]] = []  # the places of lines
 
     # --- Solves ------------------------------------------------------------------------------------------------------
 
@@ -266,55 +255,38 @@ class Search:
 
     # --- Further points ----------------------------------------------------------------------------------------------
 
-    def lines(self) -> Iterator[Line]:
-        """The lines to further points, each chosen by what has been found before."""
-        corners, count = self._corners, self.points - self.count
-        if self._constant.all():
+    def lines(self) -> list[Line]:
+        """Lines through all places between the anchors; where these lie on no simplex, through the whole box between
+        best and worst.
+        """
+        corners, count = self._corners, _CHOICES * (self.points - self.count)
+        if np.linalg.svd((corners[1:] - corners[0]) * self._scales)[1][-1] > _FLAT:
+            return list(map(Line, simplex(self.count, count) @ corners))
+        best = np.minimum(corners.min(axis=0), self._least)
+        return list(map(Line, best + box(self.count, count) * self._range))
+
+    def find_along(self, lines: Sequence[Line], run: Runner) -> None:
+        """Find the last point on some lines, each as far from designs and from lines before as can be."""
+        if self._constant.all() or not lines:
             return
-        if self.count == 2:
-            yield from map(Line, self._bisected(count))
-        elif np.linalg.svd((corners[1:] - corners[0]) * self._scales)[1][-1] > _FLAT:
-            yield from (Line(one @ corners) for one in simplex(self.count, count))
-        else:
-            best = np.minimum(corners.min(axis=0), self._least)
-            for one in box(self.count, _LINES * count):
-                if len(self._distinct()) < self.points:
-                    yield Line(best + one * self._range)
-
-    def _bisected(self, count: int) -> Iterator[Float[np.ndarray, " wishes"]]:
-        """Places between the anchors of two wishes, each in the middle of the largest gap."""
-        (first, last), scales = self._corners, self._scales
-        gaps = [Gap(0.0, 1.0, first, last)]
-
-        def size(gap: Gap) -> float:
-            return float(np.abs((gap.after - gap.before) * scales).max())
-
-        for _ in range(count):
-            narrow = [gap for gap in gaps if gap.last - gap.first <= _NARROWEST]
-            # Lines through a hole end at one of its ends.
-            self._holes += [gap for gap in narrow if size(gap) > 10 * _NARROWEST]
-            gaps = sorted((gap for gap in gaps if gap.last - gap.first > _NARROWEST), key=size)
-            if not gaps:
+        scales, further = self._scales, self.points - self.count
+        places = across(np.array([one.through for one in lines]) * scales)
+        for done in range(_LINES * further):
+            known = np.array([*(across(one.values * scales) for one in self.designs), *self._tried])
+            away = np.abs(places[:, None] - known).max(axis=2).min(axis=1)
+            if len(self._distinct()) >= self.points or away.max() < _NARROWEST:
                 return
-            widest, known = gaps.pop(), len(self.designs)
-            middle = (widest.first + widest.last) / 2
-            yield first + middle * (last - first)
-            if len(self.designs) > known:
-                point = self.designs[-1].values
-                halves = widest._replace(last=middle, after=point), widest._replace(first=middle, before=point)
-                gaps += [one for one in halves if size(one) > _SAME]
-
-    def find_along(self, lines: Iterable[Line], run: Runner) -> None:
-        """Find the last point on each of some lines."""
-        for done, line in enumerate(lines):
-            with run.step("trade-off", done, self.points, f"point {done + 1}"):
-                self._add(line)
+            chosen = int(np.argmax(away))
+            self._tried.append(places[chosen])
+            with run.step("trade-off", done, _LINES * further, f"line {done + 1}"):
+                self._add(lines[chosen])
 
     def _add(self, line: Line) -> None:
-        """Solve for a point, from the nearest design; again from others if it ends at a known one."""
+        """Solve for a point, from the best known design on its line; again from others if it ends at a known one."""
         compromise, known = self.wishes.compromise(self._scales, self._scales * line.through), list(self.designs)
-        nearest = min(known, key=lambda one: compromise.distance(one.values)).solution
-        design, reason = self._sought(compromise, nearest if line.start is None else line.start)
+        # No design that is found by small steps from the best known one is dominated by that.
+        best = min(known, key=lambda one: compromise.level(one.values)).solution
+        design, reason = self._sought(compromise, best if line.start is None else line.start)
         if design is None:
             self._failed.append(reason)
             return
@@ -332,7 +304,7 @@ class Search:
     def _around(self, compromise: Compromise, designs: list[Design]) -> Iterator[Start]:
         """Starts elsewhere: between the nearest designs to all sides of a line, and the problem's own."""
         nearest: dict[tuple[int, bool], Mapping[str, Any]] = {}
-        for one in sorted(designs, key=lambda one: compromise.distance(one.values)):
+        for one in sorted(designs, key=lambda one: float(np.ptp(compromise.away(one.values)))):
             away = compromise.away(one.values)
             which = int(np.argmax(np.abs(away)))
             nearest.setdefault((which, bool(away[which] > 0)), one.solution.decisions)
@@ -358,9 +330,6 @@ class Search:
         """The efficient designs in order."""
         distinct, values = self._distinct(), np.array([one.values for one in self.designs])
         is_sought = np.arange(self.count) < len(self.designs)
-        # A hole reaches from one efficient design to the next: a line through it may end at a dominated design.
-        first = values[distinct][:, 0]
-        after = {int(np.searchsorted(first, (one.before[0] + one.after[0]) / 2)) for one in self._holes}
         return TradeOff(
             names=self.wishes.names,
             wishes=self.wishes.expressions,
@@ -371,7 +340,14 @@ class Search:
             weights=np.array([self.designs[i].weights for i in distinct]),
             asked=self.points,
             dominated=int((~efficient(values, _SAME / self._scales)).sum()),
-            holes=tuple((float(first[i - 1]), float(first[i])) for i in sorted(after) if 0 < i < len(first)),
+            holes=self._holes(values[distinct]) if self.count == 2 else (),
             failed=tuple(self._failed),
             interrupted=interrupted,
         )
+
+    def _holes(self, values: Float[np.ndarray, "points 2"]) -> tuple[tuple[float, float], ...]:
+        """The gaps of a front between whose ends lines have ended at none of its points."""
+        places, tried = (np.reshape(one, (-1, 2))[:, 0] for one in (across(values * self._scales), self._tried))
+        lost = tried[np.abs(tried[:, None] - places).min(axis=1) > _NARROWEST]
+        gaps = zip(values[:, 0], values[1:, 0], places, places[1:], strict=False)
+        return tuple((float(a), float(b)) for a, b, low, high in gaps if np.any((low < lost) & (lost < high)))

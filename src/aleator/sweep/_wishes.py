@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from aleator.design import Constraint, Expression, Problem, as_expression, declared_anew, pure, value
 from aleator.solution import Solution
+from aleator.sweep._trade_off import across
 from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
 from aleator.uncertainty import Decision
 
@@ -44,12 +45,11 @@ class Compromise(NamedTuple):
 
     def away(self, values: Float[np.ndarray, " wishes"]) -> Float[np.ndarray, " wishes"]:
         """By how much a design's wishes, scaled, are off the line on which this one is to be."""
-        away = values * self.scales - self.offsets
-        return away - away.mean()
+        return across(values * self.scales - self.offsets)
 
-    def distance(self, values: Float[np.ndarray, " wishes"]) -> float:
-        """How far a design's wishes, scaled, are from that line."""
-        return float(np.ptp(self.away(values)))
+    def level(self, values: Float[np.ndarray, " wishes"]) -> float:
+        """The least level `t` above some values of the wishes."""
+        return float(np.max(values * self.scales - self.offsets))
 
 
 @final

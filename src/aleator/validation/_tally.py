@@ -21,25 +21,9 @@ from aleator.design import (
 from aleator.nlp import HELD
 from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
-from aleator.statistics import (
-    Infimum,
-    Mean,
-    Probability,
-    Quantile,
-    Sobol,
-    Std,
-    Supremum,
-    Variance,
-)
+from aleator.statistics import Infimum, Mean, Probability, Quantile, Sobol, Std, Supremum, Variance
 from aleator.validation._batches import Batch, Sums
-from aleator.validation._comparisons import (
-    RELATIVE,
-    ROUNDING,
-    Disagreement,
-    compared,
-    is_rare,
-    worst_disagreement,
-)
+from aleator.validation._comparisons import RELATIVE, ROUNDING, Disagreement, compared, is_rare, worst_disagreement
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._shares import broken_by
 from aleator.validation._systems import Systems
