@@ -69,9 +69,9 @@ def trade_off(
       (NSGA-II, Deb et al. 2002, of the extra `fronts`), for fronts in parts and designs in many basins; its designs are
       starts of lines through them, which lead to the front itself. A small share of all wishes in every objective keeps
       designs away at which a wish could be better at no cost (Mavrotas 2009);
-    - `solver`, `transcription`: those of `al.solve`, which certifies every point. Each point starts from the best
-      known design on its line, from the problem's own start where that fails, and then by `al.solvers.Slsqp()` unless a solver is
-      given. One that ends at a known design is sought again from between its neighbours;
+    - `solver`, `transcription`: those of `al.solve`, which certifies every point. Each point starts from the known
+      design that is best for it, from the problem's own start where that fails, and then by `al.solvers.Slsqp()` unless
+      a solver is given. One that ends at a known design is sought again from between its neighbours;
     - `starts`: local searches for each point, all but one from random starts, for problems with several optima, whose
       fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`);
     - `evaluations`, `seed`: of a population: simulated designs, and its random numbers;

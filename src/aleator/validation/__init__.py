@@ -12,6 +12,5 @@ from aleator.validation._shares import Proportion as Proportion
 from aleator.validation._shares import Share as Share
 from aleator.validation._shares import WeightedProportion as WeightedProportion
 from aleator.validation._shares import reason_uncounted as reason_uncounted
-from aleator.validation._systems import finer_by as finer_by
 from aleator.validation._validate import validate as validate
 from aleator.validation._validate import validated_from as validated_from
