@@ -1,9 +1,9 @@
 """Monte Carlo re-simulation of a design, independent of the expansion it checks."""
 
-from aleator.validation._comparisons import Compared as Compared
-from aleator.validation._comparisons import Disagreement as Disagreement
 from aleator.validation._evidence import PERCENTILES as PERCENTILES
 from aleator.validation._evidence import Checked as Checked
+from aleator.validation._evidence import Compared as Compared
+from aleator.validation._evidence import Disagreement as Disagreement
 from aleator.validation._evidence import Evidence as Evidence
 from aleator.validation._evidence import Sampled as Sampled
 from aleator.validation._evidence import Trajectories as Trajectories
