@@ -15,7 +15,7 @@ from aleator.reporting import report
 from aleator.reporting._first_screen import proposal
 from aleator.reporting._numbers import number
 from aleator.reporting._tables import designs_table, evidence_table
-from aleator.validation._comparisons import Disagreement
+from aleator.validation import Disagreement
 from zoo import MASS, STRESS, TwoBasins, bar_problem
 
 

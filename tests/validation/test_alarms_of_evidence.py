@@ -9,8 +9,9 @@ import pytest
 from scipy import stats
 
 import aleator as al
+from aleator.validation import Compared
 from aleator.validation._batches import Sums
-from aleator.validation._comparisons import Compared, reach, worst_disagreement
+from aleator.validation._tally import reach, worst_disagreement
 
 X, UNIFORM = al.output("x"), al.Uniform(0.0, half_width=1.0)
 RESPONSES = {

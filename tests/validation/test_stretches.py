@@ -30,8 +30,8 @@ def test_stretches_are_the_whole_sample_in_order():
     for samples, batch, before in ((1000, 250, 1000), (10**6, 250, 250), (1003, 10, 20), (7, 250, 7)):
         stretches = _validate.stretches(samples, min(batch, samples), before)
         assert len(stretches) < 260
-        ends = [one.end for one in stretches]
-        assert [0, *ends[:-1]] == [one.first for one in stretches]
+        ends = [one.stop for one in stretches]
+        assert [0, *ends[:-1]] == [one.start for one in stretches]
         assert ends[-1] == samples
         assert before in {*ends, 0}
 

@@ -1,6 +1,6 @@
 """`allocate`: the cheapest tolerances of a stack that keep a limit, statistically and in the worst case."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -10,11 +10,12 @@ from jaxtyping import Float
 from aleator._core.border import one_of, positive, real_array, refusal
 from aleator._core.leaves import Printed
 from aleator.analysis import ToleranceAnalysis, check_limits, tolerance_analysis, zones_of
-from aleator.design import Expression, Problem, value, value_at
+from aleator.design import Expression, Problem, value
 from aleator.design import output as output_of
 from aleator.dynamics import AlgebraicSystem
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._printed import table
 from aleator.uncertainty import (
     AbstractDistribution,
     Decision,
@@ -74,23 +75,18 @@ class Allocation(Printed):
         columns = {"today": self.today, f"statistical, Cpk {self.cpk:.3g}": self.statistical}
         columns |= {"worst case": self.worst_case}
         known = {name: tolerances for name, tolerances in columns.items() if tolerances is not None}
-        rows = [[f"{self.output}, {self.lower:g} to {self.upper:g}", *known]]
-        rows += [[name, *(_text(each.zones[name]) for each in known.values())] for name in self.today.zones]
-        for name in self.today.decisions:
-            rows.append([name, *(", ".join(f"{x:.4g}" for x in each.decisions[name].flat) for each in known.values())])
-        of_analysis = {
-            "Cp": lambda one: f"{one.cp:.3g}",
-            "Cpk": lambda one: f"{one.cpk:.3g}",
-            "rejects": lambda one: f"{one.rejects:.3g} ppm",
-            "worst case": lambda one: f"{one.worst_case[0]:.4g} to {one.worst_case[1]:.4g}",
+        each: dict[str, Callable[[Tolerances], str]] = {
+            **{name: lambda one, name=name: _text(one.zones[name]) for name in self.today.zones},
+            **{name: lambda one, name=name: _numbers(one.decisions[name]) for name in self.today.decisions},
+            "cost": lambda one: f"{one.cost:.4g}",
+            "Cp": lambda one: f"{one.analysis.cp:.3g}",
+            "Cpk": lambda one: f"{one.analysis.cpk:.3g}",
+            "rejects": lambda one: f"{one.analysis.rejects:.3g} ppm",
+            "worst case": lambda one: "{:.4g} to {:.4g}".format(*one.analysis.worst_case),
         }
-        rows.append(["cost", *(f"{each.cost:.4g}" for each in known.values())])
-        rows += [[name, *(text(each.analysis) for each in known.values())] for name, text in of_analysis.items()]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-        ]
-        return "\n".join([*lines, *(f"{name}: {why}" for name, why in self.failed.items())])
+        rows = [[f"{self.output}, {self.lower:g} to {self.upper:g}", *known]]
+        rows += [[name, *map(text, known.values())] for name, text in each.items()]
+        return table(rows, *(f"{name}: {why}" for name, why in self.failed.items()))
 
 
 def allocate(
@@ -143,26 +139,23 @@ def allocate(
             expected = "an al.Toleranced dimension where something is decided, al.Toleranced(al.Decision(...), ...)"
             raise refusal(f"allocate: '{name}'", expected, dimension)
     check_limits("allocate", lower, upper)
-    toleranced = {name: each for name, each in dimensions.items() if isinstance(each, Toleranced)}
-    sought = {name: _decided(toleranced[name]) for name in costs}
+    sought = {name: _decided(dimensions[name]) for name in costs}
     decided = with_distributions(stack, lambda name, leaf: sought.get(name, leaf))
-    (first, *others) = (fixed + slope / _half_width(name, sought[name]) for name, (fixed, slope) in costs.items())
-    cost = sum(others, start=first)
-    costed = Problem(decided, minimize=cost)
+    terms = [fixed + slope / _half_width(name, sought[name]) for name, (fixed, slope) in costs.items()]
+    cost = sum(terms[1:], start=terms[0])
     # A zone is told about its nominal value of today, unless that is decided.
-    nominals = {name: toleranced[name].parameters["nominal"] for name in toleranced}
+    nominals = {name: one.parameters["nominal"] for name, one in dimensions.items() if isinstance(one, Toleranced)}
     chosen = {f"{name}.{side}" for name in costs for side in _SIDES}
 
-    def tolerances(vector: Float[np.ndarray, " n"], solution: Solution | None = None) -> Tolerances:
-        at = costed.placements.named(vector)
-        made = with_decisions(decided, lambda name, _: at[name])
+    def tolerances(
+        model: AlgebraicSystem, decisions: Mapping[str, Any], cost: float, solution: Solution | None = None
+    ) -> Tolerances:
+        made = with_decisions(model, lambda name, _: decisions[name])
         zones = {name: _zone(placements(made).distributions[name], nominal) for name, nominal in nominals.items()}
-        others = {name: np.asarray(number) for name, number in at.items() if name not in chosen}
+        own = {name: np.asarray(one) for name, one in decisions.items() if name not in chosen}
         analysis = tolerance_analysis(made, output, lower=lower, upper=upper)
-        return Tolerances(zones, others, value_at(cost, costed, vector), analysis, solution)
+        return Tolerances(zones, own, cost, analysis, solution)
 
-    answers = dict[str, Tolerances | None]()
-    failed = dict[str, str]()
     # Within their zones parts are of any sizes, correlated or not.
     bounds = zones_of(placements(stack), {})
 
@@ -170,30 +163,32 @@ def allocate(
         is_toleranced = isinstance(leaf, Toleranced)
         return leaf.with_fields(dependence=None) if is_toleranced else Uniform.bounds(*bounds[name])
 
-    in_zones = with_distributions(decided, in_zone)
     kinds: dict[str, tuple[AlgebraicSystem, dict[str, Any]]] = {
         "statistical": (decided, {"sigmas": 3 * cpk}),
-        "worst case": (in_zones, {"worst_case": True}),
+        "worst case": (with_distributions(decided, in_zone), {"worst_case": True}),
     }
+    answers, failed = dict[str, Tolerances | None](), dict[str, str]()
     for kind, (model, margin) in kinds.items():
         sides = [functional.at_most(upper, **margin)] if np.isfinite(upper) else []
         sides += [functional.at_least(lower, **margin)] if np.isfinite(lower) else []
         solution = solve(Problem(model, minimize=cost, subject_to=sides), throw=False)
         if solution.ok:
-            answers[kind] = tolerances(solution.vector, solution)
+            answers[kind] = tolerances(decided, solution.decisions, solution.objective, solution)
         else:
             answers[kind], failed[kind] = None, solution.why()
-    today = tolerances(costed.placements.vector("initial"))
+    start = placements(stack).named(placements(stack).vector("initial"))
+    widths = {name: sum(_zone(dimensions[name].initial(), nominals[name])) / 2 for name in costs}
+    today = tolerances(stack, start, sum(fixed + slope / widths[name] for name, (fixed, slope) in costs.items()))
     return Allocation(output, float(lower), float(upper), cpk, today, *answers.values(), failed=failed)
 
 
-def _is_known(dimension: Toleranced, at_start: AbstractDistribution) -> bool:
+def _is_known(dimension: AbstractDistribution, at_start: AbstractDistribution) -> bool:
     """Whether nothing is decided, or the nominal value alone of a zone about it."""
     moved = dimension.with_fields(parameters=dimension.parameters | {"nominal": at_start.parameters["nominal"]})
     return dimension == at_start or ("tolerance" in dimension.parameters and moved == at_start)
 
 
-def _decided(dimension: Toleranced) -> Toleranced:
+def _decided(dimension: AbstractDistribution) -> AbstractDistribution:
     """The dimension with the width of its zone to be chosen: about its middle, or from a limit that does not lie beyond
     the nominal value.
     """
@@ -216,7 +211,7 @@ def _sought(width: float, beyond: float = 0.0) -> Decision:
     return Decision(width + beyond, width / _RANGE + beyond, width * _RANGE + beyond)
 
 
-def _half_width(name: str, dimension: Toleranced) -> Expression:
+def _half_width(name: str, dimension: AbstractDistribution) -> Expression:
     """Half the width of a dimension's zone, in terms of what is chosen."""
     if "tolerance" in dimension.parameters:
         return value(f"{name}.tolerance")
@@ -229,6 +224,10 @@ def _zone(dimension: AbstractDistribution, nominal: Any) -> tuple[float, float]:
     low, high = map(float, dimension.limits())
     nominal = float(dimension.parameters["nominal"] if isinstance(nominal, Decision) else nominal)
     return nominal - low, high - nominal
+
+
+def _numbers(values: Float[np.ndarray, "..."]) -> str:
+    return ", ".join(f"{one:.4g}" for one in values.flat)
 
 
 def _text(zone: tuple[float, float]) -> str:

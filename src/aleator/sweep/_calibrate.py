@@ -11,14 +11,14 @@ import numpy as np
 from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
 from aleator._core.errors import CalibrationWarning, ProblemError, SolveError
 from aleator._core.leaves import Drawn
-from aleator.design import Problem, uncertain
+from aleator.design import Problem
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._margins import COUNTED, MarginSearch, Trial, margins_of
 from aleator.sweep._runner import finished, running
 from aleator.transcription import DEFAULT, AbstractTranscription
-from aleator.validation import Evidence, Proportion, Share, why_uncounted
+from aleator.validation import Evidence, Proportion, Share, reason_uncounted
 
 # Samples that importance sampling needs.
 _FEWEST_WEIGHTED = 1000
@@ -171,15 +171,18 @@ def _counted_names(problem: Problem, names: str | Sequence[str]) -> tuple[str, .
         raise refusal("calibrate: names", "a constraint's name, or several in a tuple", names)
     for name in every:
         constraints = problem.named(name)
-        if reason := why_uncounted(problem, name):
+        reasons = [reason_uncounted(one) for one in constraints]
+        if all(reasons):
             raise ProblemError(
-                f"calibrate: no single system is counted against '{name}' ({constraints[0]}): it is {reason}."
+                f"calibrate: no single system is counted against '{name}' ({constraints[0]}): it is {reasons[0]}."
             )
         if not any(one.expression.sigmas for one in constraints):
             raise ProblemError(
                 f"calibrate: the constraints called '{name}' contain no standard deviation; set sigmas=1 in them."
             )
     if not problem.placements.germs:
-        held = " (al.deterministic holds them at their means)" if uncertain(problem).placements.germs else ""
-        raise ProblemError(f"calibrate: expected a problem with distributions{held}; received one without a spread.")
+        raise ProblemError(
+            "calibrate: expected a problem with distributions; received one without (al.deterministic holds them at "
+            "their means)."
+        )
     return every

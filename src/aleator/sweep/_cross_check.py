@@ -10,7 +10,6 @@ from aleator._core.border import Progress, one_of, positive, refusal, silent, wh
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
-from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.sweep._runner import SOLVE, running
@@ -57,26 +56,21 @@ class CrossChecked(Drawn):
         unsolved = [f"  {way}: {one.why()}" for way, one in both if not one.ok]
         head = "agree" if self.agree else "are not both solved, nor agree" if unsolved else "do NOT agree"
         rows = [f"{self.ways[0]} and {self.ways[1]} {head} to {self.tolerance:.1g}"]
-        for way, one in both:
-            rows.append(f"  {way:<32} objective {one.objective:.9g}, {'solved' if one.ok else 'not solved'}")
+        rows += [f"  {way:<32} objective {one.objective:.9g}" for way, one in both]
         rows.append(f"  {'objective':<32} differs by {self.objective:.1e}")
         kinds = {"decisions": self.decisions, "statistics": self.statistics, "multipliers": self.multipliers}
         for kind, differences in kinds.items():
             if differences:
                 name, worst = max(differences.items(), key=lambda one: one[1])
                 rows.append(f"  {kind:<32} differ by {worst:.1e} at most ({name})")
-        rows += [] if self.agree else unsolved or [f"  {self._remedy()}"]
-        return "\n".join(rows)
-
-    def _remedy(self) -> str:
-        """What to do where two optima do not agree."""
         others = [name for name, one in self.decisions.items() if self.tolerance < one < np.inf]
+        remedy = "Refine both grids (refine=True, al.Simultaneous(error=...)), or start both elsewhere."
         if self.objective <= self.tolerance and others:
-            return (
+            remedy = (
                 f"Both reach the same objective, by other values of {', '.join(others[:3])}: there are several optima, "
                 "or a flat one. Let the objective tell them apart."
             )
-        return "Refine both grids (refine=True, al.Simultaneous(error=...)), or start both elsewhere."
+        return "\n".join([*rows, *([] if self.agree else unsolved or [f"  {remedy}"])])
 
 
 def cross_check(
@@ -99,19 +93,17 @@ def cross_check(
     - `most_states`: the budget of direct collocation, whose program has the states of all realisations at all points of
       its first mesh as variables: 1000 of them take some seconds, 5000 half a minute, 100 000 hours and gigabytes.
 
-    Solutions that failed are compared as they are, and do not agree. Ctrl-C ends it without a result.
-    Raises `ProblemError` for what is no problem, transcription or pair of solvers, and for a program of more than
-    `most_states` before anything is solved.
+    Solutions that failed are compared as they are, and do not agree. Ctrl-C ends it without a result. Raises
+    `ProblemError` for a program of more than `most_states` before anything is solved.
     """
     one_of("cross_check: problem", problem, Problem)
     second = Simultaneous() if second is None else second
-    for name, way in (("first", first), ("second", second)):
-        one_of(f"cross_check: {name}", way, AbstractTranscription, "al.Simultaneous()")
+    ways, tolerance = (first, second), positive("cross_check: tolerance", tolerance)
+    most_states = whole("cross_check: most_states", most_states)
     if not isinstance(solvers, Sequence) or [isinstance(one, AbstractSolver | None) for one in solvers] != [True, True]:
         raise refusal("cross_check: solvers", "two, such as (None, al.solvers.Ipopt())", solvers)
-    tolerance = positive("cross_check: tolerance", tolerance)
-    ways, most_states = (first, second), whole("cross_check: most_states", most_states)
-    for way in ways:
+    for name, way in zip(("first", "second"), ways, strict=True):
+        one_of(f"cross_check: {name}", way, AbstractTranscription, "al.Simultaneous()")
         if isinstance(way, Simultaneous) and (count := way.count(problem)) > most_states:
             raise ProblemError(
                 f"cross_check: by {way.name}, {count} states would be variables, more than the {most_states} of "
@@ -122,14 +114,20 @@ def cross_check(
     calls = [{**own, "solver": by, "transcription": way} for way, by in zip(ways, solvers, strict=True)]
     with running("cross_check", lambda: False, progress) as run:
         (_, one), (_, other) = run.each(SOLVE, "cross-check", calls, [way.name for way in ways])
-    by_solver = [f"{way.name} by {found.effort.solver}" for way, found in zip(ways, (one, other), strict=True)]
+    names = [way.name for way in ways]
+    if first.name == second.name:
+        names = [f"{first.name} by {found.effort.solver}" for found in (one, other)]
     size = max(_objective_size(one), _objective_size(other))
+    ranges = {
+        name: np.asarray(place.decision.upper, float) - np.asarray(place.decision.lower, float)
+        for name, place in problem.placements.decisions.items()
+    }
     return CrossChecked(
         first=one,
         second=other,
-        ways=(first.name, second.name) if first.name != second.name else (by_solver[0], by_solver[1]),
+        ways=(names[0], names[1]),
         objective=_difference(one.objective, other.objective, size),
-        decisions=_decisions(problem, one, other),
+        decisions={name: _difference(one.decisions[name], other.decisions[name], 0.0, ranges[name]) for name in ranges},
         statistics=_statistics(one, other),
         multipliers=_multipliers(one, other, size),
         tolerance=tolerance,
@@ -140,33 +138,19 @@ def _objective_size(solution: Solution) -> float:
     """How much the objective would change, per relative error of all statistics and numbers in it."""
     known = {text: Estimated(value, _SMALL * np.abs(value)) for text, value in solution.statistics.items()}
     found = estimated(solution.problem, solution.problem.objective, known, solution.vector, doubt=_SMALL)
-    size = 0.0 if found is None else float(found.error) / _SMALL
-    return size if np.isfinite(size) else 0.0
-
-
-def _decisions(problem: Problem, one: Solution, other: Solution) -> dict[str, float]:
-    """By name; infinite for a control that has followed a finer mesh in one of them."""
-    places = {name: place.decision for name, place in problem.placements.decisions.items()}
-    ranges = {name: np.asarray(place.upper, float) - np.asarray(place.lower, float) for name, place in places.items()}
-    return {name: _difference(one.decisions[name], other.decisions[name], 0.0, each) for name, each in ranges.items()}
+    return float(np.nan_to_num(0.0 if found is None else found.error / _SMALL, posinf=0.0))
 
 
 def _statistics(one: Solution, other: Solution) -> dict[str, float]:
-    """By text; those of paths at the instants that both grids have."""
+    """By text; those of paths at the instants that both grids have, as parts of their duration to nine digits."""
     mine, theirs = dict(one.statistics), dict(other.statistics)
     for statistic in (each for each in statistics_in(one.problem.expressions) if each.is_path):
-        text, path = statistic.text(), statistic.functionals[0].place
-        _, *at = np.intersect1d(_fractions(one, path), _fractions(other, path), return_indices=True)
+        text, place = statistic.text(), statistic.functionals[0].place
+        grids = (solution.problem.grid.of(place) for solution in (one, other))
+        _, *at = np.intersect1d(*(np.round(grid.fractions, 9) for grid in grids), return_indices=True)
         mine[text], theirs[text] = (values[text][some] for values, some in zip((mine, theirs), at, strict=True))
     least = _SMALL * max((float(np.max(np.abs(value))) for value in mine.values()), default=0.0)
     return {text: _difference(value, theirs[text], least) for text, value in mine.items()}
-
-
-def _fractions(solution: Solution, path: str) -> np.ndarray:
-    """The instants of the grid of a path as parts of its duration, to nine digits."""
-    grid = solution.problem.grid.of(path)
-    assert isinstance(grid, Grid)
-    return np.round(grid.fractions, 9)
 
 
 def _multipliers(one: Solution, other: Solution, size: float) -> dict[str, float]:
@@ -176,17 +160,16 @@ def _multipliers(one: Solution, other: Solution, size: float) -> dict[str, float
     """
     largest = max((abs(limit.shadow_price) for limit in one.constraints), default=0.0)
     least = max(size, abs(one.objective), abs(other.objective))
-    return {
-        limit.text: _difference(
-            limit.shadow_price, their.shadow_price, _SMALL * max(largest, least / limit.scale if limit.scale else 0.0)
-        )
-        for limit, their in zip(one.constraints, other.constraints, strict=True)
-    }
+    differences = {}
+    for limit, their in zip(one.constraints, other.constraints, strict=True):
+        floor = _SMALL * max(largest, least / limit.scale if limit.scale else 0.0)
+        differences[limit.text] = _difference(limit.shadow_price, their.shadow_price, floor)
+    return differences
 
 
 def _difference(first: object, second: object, least: float, ranges: float | np.ndarray = np.inf) -> float:
     """The largest difference of two arrays, relative to `ranges` where these are finite, else to the largest of their
-    entries, or to `least` if that is larger; infinite if shapes differ.
+    entries, or to `least` if that is larger; infinite if shapes differ, as of a control that has followed a finer mesh.
     """
     one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     if one.shape != other.shape:

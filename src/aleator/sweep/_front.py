@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,8 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
-from aleator.solution import Solution, in_brief
+from aleator.solution import Solution
+from aleator.sweep._printed import table
 from aleator.sweep._runner import SOLVE, Runner, running
 from aleator.transcription import DEFAULT, AbstractTranscription
 
@@ -22,41 +23,6 @@ SAME = 1e-6
 # By so much of the steeper of two prices, times the step between them, an optimum may be above what both say: a front
 # is a smooth curve, along which the mean of two slopes is off by a twelfth of its third derivative.
 _OFF = 0.05
-
-
-class Place(NamedTuple):
-    """A point of a front: its bound, its optimum, and the slope of that by the bound; NaN where there is none."""
-
-    bound: float
-    objective: float
-    slope: float
-
-
-def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tuple[float, float]]:
-    """The bounds of points that the design of a solved neighbour may better, each with the bound of this neighbour.
-
-    These are points without an optimum beside one that has one (behind another without, limits are tighter still, or it
-    is bettered first), those worse than a tighter neighbour, whose design is theirs too, and those worse than the
-    neighbour's optimum, moved by the mean of both slopes. `relaxing`: 1 if a larger bound is a weaker one, -1 if a
-    smaller one is, 0 if neither; `size`: the largest objective on the front.
-    """
-    ordered = sorted(places)
-    for i, place in enumerate(ordered):
-        for side in (ordered[:i][::-1], ordered[i + 1 :]):
-            near = side[:1] if np.isnan(place.objective) else side
-            neighbour = next((one for one in near if not np.isnan(one.objective)), None)
-            if neighbour is not None and _is_doubtful(place, neighbour, relaxing, size):
-                yield place.bound, neighbour.bound
-
-
-def _is_doubtful(place: Place, neighbour: Place, relaxing: int, size: float) -> bool:
-    if np.isnan(place.objective):
-        return True
-    step, risen = place.bound - neighbour.bound, place.objective - neighbour.objective
-    if step * relaxing > 0 and risen > SAME * size:
-        return True
-    steeper = max(abs(place.slope), abs(neighbour.slope))
-    return risen - step * (place.slope + neighbour.slope) / 2 > _OFF * abs(step) * steeper + SAME * size
 
 
 @final
@@ -144,15 +110,14 @@ class Front(Drawn):
         )
 
     def __str__(self) -> str:
-        rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
-        for value, one in zip(self.values, self.points, strict=True):
-            if isinstance(one, Solution) and one.ok:
-                price, active = one.multiplier(self.bound), ", ".join(one.active)
-                rows.append(f"{value:10.5g} {one.objective:12.6g} {price:12.4g}  {active}")
+        rows = [(self.bound, "objective", "shadow price", "active")]
+        for value, point, optimum in zip(self.values, self.points, self.optima, strict=True):
+            if optimum is None:
+                rows.append((f"{value:.5g}", "no optimum", "", point.why()))
             else:
-                rows.append(f"{value:10.5g} {'no optimum':>12}  {one.why()}")
-        rows += [f"{one[0].upper()}{one[1:]}." for one in self.doubts()]
-        return "\n".join([*rows, *(["interrupted by the user"] if self.interrupted else [])])
+                price, active = optimum.multiplier(self.bound), ", ".join(optimum.active)
+                rows.append((f"{value:.5g}", f"{optimum.objective:.6g}", f"{price:.4g}", active))
+        return table(rows, *(f"{one[0].upper()}{one[1:]}." for one in self.doubts()), interrupted=self.interrupted)
 
 
 def pareto(
@@ -229,24 +194,6 @@ class _Sweep:
             tried.update(again)
             bettered = bool(pairs) and self._each(pairs, run)
 
-    def _doubtful(self) -> Iterator[tuple[float, float]]:
-        limits = next(iter(self.problems.values())).named(self.bound)
-        # 1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities.
-        relaxing = int(any(np.isfinite(float(one.upper)) for one in limits))
-        relaxing -= int(any(np.isfinite(float(one.lower)) for one in limits))
-        places = [
-            # A shadow price is the decrease for each unit of relaxation.
-            Place(value, one.objective, -(relaxing or 1) * one.multiplier(self.bound))
-            if one.status is Status.SOLVED  # what a certificate objects to holds from any start
-            else Place(value, np.nan, np.nan)
-            for value, one in self.solutions.items()
-        ]
-        return doubtful(places, relaxing, self._size)
-
-    @property
-    def _size(self) -> float:
-        return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
-
     def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner) -> bool:
         """Solve some points, each from the design of a neighbour or its own start; whether one has been bettered."""
         known, bettered = self.solutions, False
@@ -254,33 +201,62 @@ class _Sweep:
             {"problem": self.problems[value], "warm_start": None if near is None else known[near], **self.own}
             for value, near in tries
         ]
-        task = f"front over {self.bound}" + ", from neighbours" * (tries[0][1] is not None)
-        names = [point_name(self.bound, value) for value, _ in tries]
-        froms = ["" if near is None else f", from {near:.6g}" for _, near in tries]
-
-        def detail(i: int) -> str:
-            point, _ = self.points[tries[i][0]]
-            return f": {names[i]}, {in_brief(point) if isinstance(point, Solution) else 'no design'}"
-
-        places = [f"at {name}{said}" for name, said in zip(names, froms, strict=True)]
-        for i, found in run.each(SOLVE, task, calls, places, accepted=ProblemError, detail=detail):
+        places = [f"at {point_name(self.bound, value)}" for value, _ in tries]
+        task = f"front over {self.bound}"
+        if tries[0][1] is not None:
+            places = [f"{place}, from {near:.6g}" for place, (_, near) in zip(places, tries, strict=True)]
+            task += ", from neighbours"
+        for i, found in run.each(SOLVE, task, calls, places, accepted=ProblemError):
             (value, near), (before, _) = tries[i], self.points.get(tries[i][0], (None, None))
-            if isinstance(before, Solution) and not _is_better(found, before, SAME * self._size):
-                continue
             refused = isinstance(found, ProblemError)
+            if isinstance(before, Solution) and (refused or not self._is_better(found, before)):
+                continue
             self.points[value] = Refused(self.problems[value], str(found)) if refused else found, near
             bettered = True
         return bettered
+
+    def _is_better(self, found: Solution, known: Solution) -> bool:
+        if found.ok and known.ok:
+            return found.objective < known.objective - SAME * self._size
+        return found.ok or (not known.ok and found.certificate.violation < known.certificate.violation)
+
+    @property
+    def _size(self) -> float:
+        """The largest objective on the front."""
+        return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
+
+    def _doubtful(self) -> Iterator[tuple[float, float]]:
+        """The bounds of points that the design of a solved neighbour may better, each with the bound of this neighbour.
+
+        These are points without an optimum beside one that has one (behind another without, limits are tighter still,
+        or it is bettered first), those worse than a tighter neighbour, whose design is theirs too, and those worse than
+        the neighbour's optimum, moved by the mean of both slopes. What a certificate objects to holds from any start.
+        """
+        known = {value: one if one.status is Status.SOLVED else None for value, one in sorted(self.solutions.items())}
+        ordered = list(known)
+        for i, value in enumerate(ordered):
+            for side in (ordered[:i][::-1], ordered[i + 1 :]):
+                own, solved = known[value], [near for near in side if known[near] is not None]
+                if not solved or (own is None and solved[0] != side[0]):
+                    continue
+                neighbour = known[solved[0]]
+                assert neighbour is not None
+                if own is None or self._is_above(value - solved[0], own, neighbour):
+                    yield value, solved[0]
+
+    def _is_above(self, step: float, own: Solution, neighbour: Solution) -> bool:
+        """Whether an optimum is worse than one a `step` away in the bound lets expect."""
+        limits, rounding = own.problem.named(self.bound), SAME * self._size
+        # 1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities.
+        relaxing = int(any(np.isfinite(float(one.upper)) for one in limits))
+        relaxing -= int(any(np.isfinite(float(one.lower)) for one in limits))
+        risen = own.objective - neighbour.objective
+        # A shadow price is the decrease for each unit of relaxation.
+        slopes = [-(relaxing or 1) * one.multiplier(self.bound) for one in (own, neighbour)]
+        beyond = risen - step * sum(slopes) / 2
+        return (step * relaxing > 0 and risen > rounding) or beyond > _OFF * abs(step * max(slopes, key=abs)) + rounding
 
 
 def point_name(bound: str, value: float) -> str:
     """What a point of a front is called, in progress, journals and evidence."""
     return f"{bound} = {value:.6g}"
-
-
-def _is_better(found: Solution | ProblemError, known: Solution, same: float) -> bool:
-    if isinstance(found, ProblemError):
-        return False
-    if found.ok and known.ok:
-        return found.objective < known.objective - same
-    return found.ok or (not known.ok and found.certificate.violation < known.certificate.violation)

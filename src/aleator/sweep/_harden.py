@@ -12,6 +12,7 @@ from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._printed import table
 from aleator.sweep._runner import finished, running
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, bound_size, transcribe
 
@@ -45,15 +46,14 @@ class Hardened(Drawn):
         return (solved or self.solutions)[-1]
 
     def __str__(self) -> str:
-        rows = [f"{'weight':>12}{'objective':>16}  largest excess, relative to its limit's magnitude"]
+        rows = [("weight", "objective", "largest excess, relative to its limit's magnitude")]
         for weight, one, excesses in zip(self.weights, self.solutions, self.excesses, strict=True):
-            name = max(excesses, key=lambda each: np.nan_to_num(excesses[each], nan=np.inf))
-            said = "" if one.ok else f"  {one.why()}"
-            rows.append(f"{weight:12.4g}{one.objective:16.8g}  {excesses[name]:.1e} of {name}{said}")
-        part = f"to {self.tolerance:.0e} of their magnitudes"
-        end = f"all hold, {part}" if self.holds else f"not all hold {part}"
-        remedy = "interrupted by the user" if self.interrupted else "allow larger weights, or see al.conflict"
-        return "\n".join([*rows, end if self.holds and not self.interrupted else f"{end}: {remedy}"])
+            name, worst = max(excesses.items(), key=lambda each: np.nan_to_num(each[1], nan=np.inf))
+            excess = f"{worst:.1e} of {name}{'' if one.ok else f'  {one.why()}'}"
+            rows.append((f"{weight:.4g}", f"{one.objective:.8g}", excess))
+        said = f"hold, to {self.tolerance:.0e} of their magnitudes"
+        end = f"all {said}" if self.holds else f"not all {said}: allow larger weights, or see al.conflict"
+        return table(rows, end, interrupted=self.interrupted)
 
 
 def harden(
@@ -83,10 +83,9 @@ def harden(
     """
     one_of("harden: problem", problem, Problem)
     weight, tolerance = positive("harden: weight", weight), positive("harden: tolerance", tolerance)
-    factor, most = positive("harden: factor", factor), whole("harden: most", most)
-    if factor <= 1:
+    if positive("harden: factor", factor) <= 1:
         raise refusal("harden: factor", "a number above 1, by which weights grow", factor)
-    chosen = tuple(dict.fromkeys(names)) or problem.names
+    chosen, most = tuple(dict.fromkeys(names)) or problem.names, whole("harden: most", most)
     found: list[tuple[Solution, float, Mapping[str, float]]] = []
     with running("harden", lambda: found, progress) as run:
         for done in range(most):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -11,20 +11,12 @@ from jaxtyping import Float
 from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
 from aleator._core.errors import ProblemError, warned_of
 from aleator._core.journalled import journalled
-from aleator._core.leaves import Drawn, Printed
+from aleator._core.leaves import Drawn
 from aleator.design import Problem
-from aleator.nlp import (
-    AbstractSearch,
-    AbstractSolver,
-    DifferentialEvolution,
-    NonlinearProgram,
-    Outcome,
-    Searched,
-    Status,
-    variable_range,
-)
+from aleator.nlp import AbstractSearch, AbstractSolver, DifferentialEvolution, Outcome, Searched, variable_range
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
+from aleator.sweep._printed import listed
 from aleator.sweep._runner import SOLVE, Work, finished, running
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 from aleator.uncertainty import refuse_choices
@@ -35,41 +27,47 @@ _SAME, _NONE = 1e-4, 1e-9
 # With fewer random starts, or with not this many more than optima, nothing can be said of those not seen: there the
 # estimate is a number without meaning (Boender and Rinnooy Kan 1987 need two more for its mean, three for its spread).
 _FEWEST, _MORE = 6, 3
+# Optima that are certified at most, from the best one on, until one stands.
+_CERTIFIED = 5
 
 
-def alike(
-    objectives: Sequence[float], points: Sequence[Float[np.ndarray, " n"]], histories: Sequence[Searched | None]
+def _alike(
+    ends: Sequence[tuple[float, Float[np.ndarray, " n"]]], visited: Sequence[Searched | None]
 ) -> list[list[int]]:
     """The local optima at which searches ended, best first: the indices of the ends that belong to each.
 
-    Mirrored designs count as one, by their objective, and so do equal designs. `histories`: of the searches, which tell
-    the magnitude of the objective.
+    Mirrored designs count as one, by their objective, and so do equal designs.
+
+    - `ends`: objectives and points; `visited`: the courses of the searches, which tell the magnitude of the objective.
     """
-    size = np.max(np.abs(points), axis=0, initial=1e-12) if points else np.zeros(0)
-    first = np.array([abs(one.objectives[0]) for one in histories if one is not None and len(one.objectives)])
+    size = np.max([np.abs(point) for _, point in ends], axis=0, initial=1e-12) if ends else np.zeros(0)
+    first = np.abs([one.objectives[0] for one in visited if one is not None and len(one.objectives)])
     first = first[np.isfinite(first)]
     least = _NONE * float(np.median(first)) if first.size else 0.0
     groups: list[list[int]] = []
-    for i in np.argsort(objectives, kind="stable").tolist():
-        best = groups[-1][0] if groups else None
-        if best is not None and (
-            abs(objectives[i] - objectives[best]) <= max(_SAME * max(abs(objectives[i]), abs(objectives[best])), least)
-            or np.all(np.abs(points[i] - points[best]) < _SAME * size)
-        ):
-            groups[-1].append(i)
-        else:
-            groups.append([i])
+    for i in np.argsort([objective for objective, _ in ends], kind="stable").tolist():
+        objective, point = ends[i]
+        if groups:
+            best, place = ends[groups[-1][0]]
+            near = max(_SAME * max(abs(objective), abs(best)), least)
+            if abs(objective - best) <= near or np.all(np.abs(point - place) < _SAME * size):
+                groups[-1].append(i)
+                continue
+        groups.append([i])
     return groups
 
 
-def _listed(optima: Sequence[tuple[float, int]], starts: int) -> list[str]:
+def _least_violated(violations: Sequence[float]) -> int:
+    return int(np.argmin(np.nan_to_num(violations, nan=np.inf)))
+
+
+def _listed(optima: Sequence[tuple[float, int]], starts: int, *further: str, interrupted: bool) -> str:
     """Local optima in lines: the objective of each, and how many of the starts led to it."""
     failed = starts - sum(count for _, count in optima)
-    return [
-        "local optima (equal objectives count as one)",
-        *(f"{objective:14.8g}  from {count} of {starts} starts" for objective, count in optima),
-        *([f"{failed} starts failed"] if failed else []),
-    ]
+    rows = ["local optima (equal objectives count as one)"]
+    rows += [f"{objective:14.8g}  from {count} of {starts} starts" for objective, count in optima]
+    rows += [f"{failed} starts failed"] if failed else []
+    return listed([*rows, *further], interrupted=interrupted)
 
 
 @final
@@ -88,9 +86,8 @@ class Starts(Drawn):
     def best(self) -> Solution:
         """The best solved one; if none is solved, the least violated."""
         solved = [one for one in self.solutions if one.ok]
-        if solved:
-            return min(solved, key=lambda one: one.objective)
-        return min(self.solutions, key=lambda one: np.nan_to_num(one.certificate.violation, nan=np.inf))
+        least = self.solutions[_least_violated([one.certificate.violation for one in self.solutions])]
+        return min(solved, key=lambda one: one.objective, default=least)
 
     @property
     def optima(self) -> tuple[tuple[Solution, int], ...]:
@@ -99,19 +96,18 @@ class Starts(Drawn):
         Solutions with the same objective count as one, mirrored plans included, and so do those with the same
         decisions, since the objective may be zero.
         """
-        solved, histories = [one for one in self.solutions if one.ok], [one.effort.visited for one in self.solutions]
-        groups = alike([one.objective for one in solved], [one.vector for one in solved], histories)
+        solved = [one for one in self.solutions if one.ok]
+        groups = _alike([(one.objective, one.vector) for one in solved], [one.effort.visited for one in self.solutions])
         return tuple((solved[group[0]], len(group)) for group in groups)
 
     def __str__(self) -> str:
         optima = [(solution.objective, count) for solution, count in self.optima]
-        ended = ["interrupted by the user"] if self.interrupted else []
-        return "\n".join([*_listed(optima, len(self.solutions)), *ended])
+        return _listed(optima, len(self.solutions), interrupted=self.interrupted)
 
 
 @final
 @dataclass(frozen=True)
-class Optimum(Printed):
+class Optimum:
     """A local optimum of the program.
 
     - `objective`, `decisions`: by name;
@@ -123,12 +119,6 @@ class Optimum(Printed):
     decisions: dict[str, Any]
     starts: int
     random: int
-
-    def __str__(self) -> str:
-        decided = ", ".join(
-            f"{name} = {np.array2string(np.asarray(one), precision=5)}" for name, one in self.decisions.items()
-        )
-        return f"{self.objective:.8g} from {self.starts} starts ({self.random} of them random), at {decided}"
 
 
 @final
@@ -156,19 +146,18 @@ class Portfolio(Drawn):
     interrupted: bool = False
 
     @property
-    def seen_at_random(self) -> int:
-        """How many optima random starts have led to."""
-        return sum(one.random > 0 for one in self.optima)
-
-    @property
     def unseen(self) -> float:
         """The expected share of starts that lead to optima not seen yet: `w (w + 1) / (n (n - 1))`.
 
         For `w` optima seen from `n` uniform random starts (Boender and Rinnooy Kan 1987). 1 for too few starts to say
         anything: fewer than six, or than three more than optima.
         """
-        w, n = self.seen_at_random, self.solved
+        w, n = self._seen_at_random, self.solved
         return w * (w + 1) / (n * (n - 1)) if n >= max(_FEWEST, w + _MORE) else 1.0
+
+    @property
+    def _seen_at_random(self) -> int:
+        return sum(one.random > 0 for one in self.optima)
 
     def sure(self) -> str:
         """How sure one may be that no design is better, in words."""
@@ -177,7 +166,7 @@ class Portfolio(Drawn):
         if self.unseen == 1.0:
             return (
                 f"Too few random starts ended at an optimum to say how many others there are: {self.solved}, at "
-                f"{self.seen_at_random} optima. Nothing can be said of designs not seen; take more starts."
+                f"{self._seen_at_random} optima. Nothing can be said of designs not seen; take more starts."
             )
         best = self.optima[0]
         found = f"{best.random} of {self.solved} random starts" if best.random else "Only the global search"
@@ -187,19 +176,10 @@ class Portfolio(Drawn):
         )
 
     def __str__(self) -> str:
-        return "\n".join(
-            [
-                *_listed([(one.objective, one.starts) for one in self.optima], self.starts),
-                *([str(self.searched)] if self.searched else []),
-                f"best: {self.best.objective:.8g}, {self.best.why()}",
-                *(["interrupted by the user"] if self.interrupted else []),
-                self.sure(),
-            ]
-        )
-
-
-# Optima that are certified at most, from the best one on, until one stands.
-_CERTIFIED = 5
+        searched = [str(self.searched)] if self.searched else []
+        further = *searched, f"best: {self.best.objective:.8g}, {self.best.why()}", self.sure()
+        optima = [(one.objective, one.starts) for one in self.optima]
+        return _listed(optima, self.starts, *further, interrupted=self.interrupted)
 
 
 def multistart(
@@ -283,48 +263,63 @@ def portfolio(
         check_search("portfolio", problem, search, "search=None leaves the global search out.")
     local = one_of("portfolio: solver", solver or DEFAULT.solver, AbstractSolver, "al.solvers.FilterSQP()").local
     program = transcribe(problem, DEFAULT).program
+    lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
     candidates: list[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
     known = 0  # local searches that do not begin at random
     outcomes: dict[int, Outcome] = {}
+
+    def globally(search: AbstractSearch, count: int) -> tuple[list[Float[np.ndarray, " n"]], Searched, bool]:
+        """Points that lie apart, best first, the history, and whether Ctrl-C ended it; from a journal, if one has it.
+
+        An executor finds the values of whole generations, not those of one point after the other.
+        """
+
+        def found() -> tuple[list[Float[np.ndarray, " n"]], Searched, bool]:
+            sought, history = search.seek(valued_by(executor if search.at_once else None, program, "portfolio"))
+            return sought.candidates(count), history, sought.halt is not None
+
+        given = {"problem": problem, "search": replace(search, progress=silent), "count": count}
+        return journalled("global search", given, found)
+
     with running("portfolio", lambda: outcomes or candidates, progress, executor) as run:
         if search is not None:
-            found = _searched_globally(problem, program, search, max(starts // 2, 1), executor)
-            candidates += found.candidates
-            searched = found.searched
-            finished(found)
+            candidates, searched, is_interrupted = globally(search, max(starts // 2, 1))
+            if is_interrupted:
+                raise KeyboardInterrupt
         chosen = [*candidates, program.start][:starts]
         known = len(chosen)
-        lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
         drawn = np.random.default_rng(seed).uniform(lower, upper, (starts - known, lower.size))
         calls = [{"problem": problem, "solver": local, "start": point} for point in (*chosen, *drawn)]
         places = [f"local search {i + 1}" for i in range(starts)]
         outcomes.update(run.each(LOCAL_SEARCH, "local searches", calls, places))
     every = dict(sorted(outcomes.items()))
     solved = [i for i, one in every.items() if one.ok]
-    objectives, points = [every[i].evaluation.objective for i in solved], [every[i].point for i in solved]
-    optima = alike(objectives, points, [one.visited for one in every.values()])
-    ends = [points[group[0]] for group in optima[:_CERTIFIED]]
-    if not ends and every:  # the least violated design
-        ends = [min(every.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
-    ends = ends or candidates[:1]
+    ends = [(every[i].evaluation.objective, every[i].point) for i in solved]
+    groups = _alike(ends, [one.visited for one in every.values()])
+    points = [ends[group[0]][1] for group in groups[:_CERTIFIED]]
+    if not points and every:
+        tried = list(every.values())
+        points = [tried[_least_violated([one.violation for one in tried])].point]
+    points = points or candidates[:1]
     try:
-        best = _certified(problem, local, search, ends)
+        best = _certified(problem, local, search, points)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
         run.interrupted = True
-        best = _certified(problem, local, search, ends[:1])
+        best = _certified(problem, local, search, points[:1])
+    optima = (
+        Optimum(
+            ends[group[0]][0],
+            problem.placements.named(ends[group[0]][1]),
+            starts=len(group),
+            random=sum(solved[i] >= known for i in group),
+        )
+        for group in groups
+    )
     return Portfolio(
         best=best,
-        optima=tuple(
-            Optimum(
-                objective=objectives[group[0]],
-                decisions=problem.placements.named(points[group[0]]),
-                starts=len(group),
-                random=sum(solved[i] >= known for i in group),
-            )
-            for group in optima
-        ),
+        optima=tuple(optima),
         starts=len(every),
         random=sum(i >= known for i in every),
         solved=sum(i >= known for i in solved),
@@ -352,31 +347,6 @@ def _certified(
         if solutions[-1].ok:
             return solutions[-1]
     return solutions[0]
-
-
-class _FoundGlobally(NamedTuple):
-    """Points of a global search that lie apart, best first, and its history; `status` tells if the user ended it."""
-
-    candidates: list[Float[np.ndarray, " n"]]
-    searched: Searched
-    status: Status
-
-
-def _searched_globally(
-    problem: Problem, program: NonlinearProgram, search: AbstractSearch, count: int, executor: Executor | None
-) -> _FoundGlobally:
-    """At most `count` points of a global search; from a journal, if one has them.
-
-    An executor finds the values of whole generations, not those of one point after the other.
-    """
-
-    def found() -> _FoundGlobally:
-        sought, searched = search.seek(valued_by(executor if search.at_once else None, program, "portfolio"))
-        status = Status.SOLVED if sought.halt is None else Status.INTERRUPTED
-        return _FoundGlobally(sought.candidates(count), searched, status)
-
-    given = {"problem": problem, "search": replace(search, progress=silent), "count": count}
-    return journalled("global search", given, found)
 
 
 def _searched_locally(**arguments: Any) -> Outcome:

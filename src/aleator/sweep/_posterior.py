@@ -106,13 +106,11 @@ class Posterior(Printed):
         return system
 
     def __str__(self) -> str:
-        freedom = len(self.residuals) - len(self.names)
-        width = max(map(len, self.names))
+        freedom, width = len(self.residuals) - len(self.names), max(map(len, self.names))
         rows = [f"s² = {self.variance:.4g} from {len(self.residuals)} data, {freedom} degrees of freedom"]
         for i, name in enumerate(self.names):
-            others = (f"{self.correlation[i, j]:.3f} with {self.names[j]}" for j in range(i))
-            told = ", ".join(others)
-            rows.append(f"{name:<{width}} = {self.mean[i]:.6g} ± {self.std[i]:.2g}{told and f', correlation {told}'}")
+            told = "".join(f", correlation {self.correlation[i, j]:.3f} with {self.names[j]}" for j in range(i))
+            rows.append(f"{name:<{width}} = {self.mean[i]:.6g} ± {self.std[i]:.2g}{told}")
         return "\n".join(rows)
 
 
@@ -136,12 +134,9 @@ def posterior(solution: Solution, *, known_std: bool = False) -> Posterior:
     tell apart, and one at a bound or a limit, where its distribution is not normal.
     """
     problem = one_of("posterior: solution", solution, Solution).problem
-    one_of("posterior: known_std", known_std, bool)
-    refuse_intervals("posterior", problem.placements)
-    places, every = problem.placements, problem.placements.entry_names()
-    free = _continuous(places)
-    names, mean = tuple(every[i] for i in np.flatnonzero(free)), solution.vector[free]
-    _refuse_other_problems(solution, known_std)
+    _refuse_other_problems(solution, one_of("posterior: known_std", known_std, bool))
+    free = _continuous(problem.placements)
+    names = tuple(name for name, is_free in zip(problem.placements.entry_names(), free, strict=True) if is_free)
     residuals, jacobian = map(np.asarray, _FITTED(numbers_to_arrays(problem), jax_array(solution.vector)))
     jacobian = jacobian[:, free]
     freedom = len(residuals) - len(names)
@@ -166,7 +161,7 @@ def posterior(solution: Solution, *, known_std: bool = False) -> Posterior:
     variance = float(residuals @ residuals) / freedom if freedom else 1.0
     root = directions.T / singular / lengths[:, None]
     covariance = (1.0 if known_std else variance) * root @ root.T
-    return Posterior(solution, names, mean, covariance, residuals, jacobian, variance)
+    return Posterior(solution, names, solution.vector[free], covariance, residuals, jacobian, variance)
 
 
 def _continuous(places: Placements) -> Bool[np.ndarray, " entries"]:
@@ -179,26 +174,29 @@ def _continuous(places: Placements) -> Bool[np.ndarray, " entries"]:
 
 def _refuse_other_problems(solution: Solution, known_std: bool) -> None:
     problem, objective = solution.problem, solution.problem.objective
-    rules = [atom.rule for atom in objective.atoms if isinstance(atom, Composed)]
-    fits = [rule for rule in rules if isinstance(rule, SquaredResiduals)]
-    if len(fits) < len(objective.atoms) or not fits or min(map(float, objective.factors)) <= 0:
-        raise ProblemError(f"posterior: expected an objective of al.residuals alone; received '{objective}'.")
-    if known_std and any(rule.std is None for rule in fits):
-        raise ProblemError("posterior: known_std: expected a `std` in each al.residuals; received one without.")
-    if problem.placements.distributions:
-        raise ProblemError(
-            "posterior: expected a model without distributions, whose numbers are known or to be identified; received "
-            f"{list(problem.placements.distributions)}. Take al.deterministic(problem)."
-        )
-    if not solution.ok:
-        raise ProblemError(f"posterior: expected a fit that succeeded; received one that failed: {solution.why()}")
+    refuse_intervals("posterior", problem.placements)
+    rules = [atom.rule if isinstance(atom, Composed) else None for atom in objective.atoms]
     chosen = {name for name, place in problem.placements.decisions.items() if place.decision.values is not None}
-    if active := [name for name in solution.active if name not in chosen]:
-        raise ProblemError(
-            f"posterior: expected a fit inside all bounds and limits; received one at that of '{active[0]}', "
-            "where no normal distribution describes what the data say. Widen it, or make a number at its bound a plain "
-            "one."
-        )
+    active = [name for name in solution.active if name not in chosen]
+    if (
+        not rules
+        or not all(isinstance(one, SquaredResiduals) for one in rules)
+        or min(map(float, objective.factors)) <= 0
+    ):
+        expected, received = "an objective of al.residuals alone", f"'{objective}'"
+    elif known_std and any(getattr(rule, "std", None) is None for rule in rules):
+        expected, received = "a `std` in each al.residuals, for known_std", "one without"
+    elif problem.placements.distributions:
+        expected = "a model without distributions, such as al.deterministic(problem)"
+        received = f"{list(problem.placements.distributions)}"
+    elif not solution.ok:
+        expected, received = "a fit that succeeded", f"one that failed: {solution.why().rstrip('.')}"
+    elif active:
+        expected = "a fit inside all bounds and limits, where what the data say is normal"
+        received = f"one at that of '{active[0]}': widen it, or make a number at its bound a plain one"
+    else:
+        return
+    raise ProblemError(f"posterior: expected {expected}; received {received}.")
 
 
 def _fitted(problem: Problem, decisions: Float[Array, " n"]) -> tuple[Float[Array, " data"], Float[Array, "data n"]]:

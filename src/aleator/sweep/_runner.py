@@ -84,11 +84,10 @@ class Runner:
 
     @contextmanager
     def step(self, task: str, done: int, total: int, place: str) -> Iterator[None]:
-        """One step of a `task`, after those done, that follows from these."""
+        """One step of a `task`, after those done, that follows from these; `place`: in words, for its warnings."""
         self._heed()
         self.progress(task, done, total)
-        place = f"{self._verb}, {place}"
-        with warned_of(place), calling(place):
+        with _at(f"{self._verb}, {place}"):
             yield
 
     def each(
@@ -99,13 +98,11 @@ class Runner:
         places: Sequence[str],
         *,
         accepted: type[AleatorError] | tuple[()] = (),
-        detail: Callable[[int], str] = lambda _: "",
     ) -> Iterator[tuple[int, Any]]:
         """The results of independent steps, each with its index, as soon as they are there.
 
-        - `places`: each step in words, with which its warnings begin;
-        - `accepted`: exceptions that are results, such as the refusal of a point; others are raised;
-        - `detail`: what progress says of a result beside the `task`, by its index, once the caller has seen it.
+        - `places`: each step in words; `accepted`: exceptions that are results, such as the refusal of a point; others
+          are raised.
 
         What Ctrl-C has cut short is no result. What a journal has is not computed. Where the caller stops, what an
         executor has not begun is cancelled.
@@ -115,20 +112,26 @@ class Runner:
         self.progress(task, 0, len(calls))
         places = [f"{self._verb}, {place}" for place in places]
         executor = self.executor
-        results = _here(work, calls, places) if executor is None else _at_once(work, calls, places, executor)
+        results = _in_turn(work, calls, places) if executor is None else _at_once(work, calls, places, executor)
         for done, (i, result) in enumerate(results, 1):
             if isinstance(result, AleatorError) and not isinstance(result, accepted):
                 raise result
             yield i, finished(result)
-            self.progress(f"{task}{detail(i)}", done, len(calls))
+            self.progress(task, done, len(calls))
             self._heed()
 
 
-def _here(work: Work, calls: Sequence[Arguments], places: Sequence[str]) -> Iterator[tuple[int, Any]]:
+@contextmanager
+def _at(place: str) -> Iterator[None]:
+    with warned_of(place), calling(place):
+        yield
+
+
+def _in_turn(work: Work, calls: Sequence[Arguments], places: Sequence[str]) -> Iterator[tuple[int, Any]]:
     absent = None
     for i, (call, place) in enumerate(zip(calls, places, strict=True)):
         try:
-            with warned_of(place), calling(place):
+            with _at(place):
                 result = work.compute(**call)
         except AleatorError as error:
             result = error

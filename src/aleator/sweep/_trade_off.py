@@ -1,9 +1,9 @@
 """`TradeOff`: a front of designs; which of them are efficient, the hypervolume they dominate, even places on it."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from typing import final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,6 +12,7 @@ from aleator._core.border import real_array, refusal
 from aleator._core.leaves import Drawn
 from aleator.design import Expression
 from aleator.solution import Solution
+from aleator.sweep._printed import table
 
 
 @final
@@ -29,9 +30,8 @@ class TradeOff(Drawn):
     - `weights`: how much the wishes count at each point, shape (points, wishes), by the multipliers: along the front,
       one unit more of the wish `i` buys `weights[i] / weights[j]` units less of the wish `j`. At the ends of a front
       they are those beside the end, and NaN where the front gets ever steeper, or nothing is known of it;
-    - `asked`: how many designs were asked for. There are fewer where some were dominated, found again, or not found;
-    - `dominated`: how many designs were found that others are better than in every wish; `repeated`: how many that were
-      known already; `failed`: why points have no design;
+    - `asked`: how many designs were asked for. There are fewer where some were found again, `dominated` (so many), or
+      not found: `failed` tells why;
     - `holes`: for two wishes and `method="boundary"`: the values of the first one between which no line ends at a
       design, as far as local searches tell: where the front has a gap;
     - `interrupted`: whether Ctrl-C ended it; the points found by then are included.
@@ -46,7 +46,6 @@ class TradeOff(Drawn):
     weights: Float[np.ndarray, "points wishes"]
     asked: int = 0
     dominated: int = 0
-    repeated: int = 0
     holes: tuple[tuple[float, float], ...] = ()
     failed: tuple[str, ...] = ()
     interrupted: bool = False
@@ -60,26 +59,21 @@ class TradeOff(Drawn):
         return hypervolume(self.values, corner)
 
     def __str__(self) -> str:
-        width, count = max(14, *(len(name) + 2 for name in self.names)), len(self.values)
-        heading = "".join(f"{name:>{width}}" for name in self.names)
-        rows = ["".join(f"{one:>{width}.6g}" for one in row) for row in self.values]
-        said = "the wishes do not conflict: one design, solved, is best for all of them"
-        if count > 1 or self.interrupted:
-            several = f"{count} designs, each solved and certified; none is better than another in every wish"
-            said = several if count > 1 else "one design, solved and certified"
-        left_out = {"dominated by others": self.dominated, "found again": self.repeated}
-        return "\n".join(
-            [
-                heading,
-                *rows,
-                said,
-                *([f"{self.asked} designs were asked for"] if 1 < count < self.asked else []),
-                *(f"{n} design{' was' if n == 1 else 's were'} {how}" for how, n in left_out.items() if n),
-                *(f"no design was found between {self.names[0]} = {a:.6g} and {b:.6g}" for a, b in self.holes),
-                *(f"no design: {one}" for one in self.failed),
-                *(["interrupted by the user"] if self.interrupted else []),
-            ]
-        )
+        rows, count = [self.names, *([f"{one:.6g}" for one in row] for row in self.values)], len(self.values)
+        said = f"{count} designs, each solved and certified; none is better than another in every wish"
+        if count == 1 and not self.interrupted:
+            said = "the wishes do not conflict: one design, solved, is best for all of them"
+        elif count < self.asked:
+            said += f"; {self.asked} were asked for: others were dominated ({self.dominated}) or found again"
+        holes = [f"no design was found between {self.names[0]} = {a:.6g} and {b:.6g}" for a, b in self.holes]
+        return table(rows, said, *holes, *(f"no design: {one}" for one in self.failed), interrupted=self.interrupted)
+
+
+class Line(NamedTuple):
+    """A line on which all wishes get better alike, through some values of theirs, and where a search on it starts."""
+
+    through: Float[np.ndarray, " wishes"]
+    start: Mapping[str, Any] | None = None
 
 
 def efficient(points: Float[np.ndarray, "n wishes"], tolerance: Float[np.ndarray, " wishes"]) -> Bool[np.ndarray, " n"]:
@@ -113,51 +107,36 @@ def hypervolume(points: Float[np.ndarray, "n wishes"], reference: Float[np.ndarr
     )
 
 
-# Points that are nearer to one another, as a part of their range, are the same place.
-_APART = 1e-3
+def across(scaled: Float[np.ndarray, "*k wishes"]) -> Float[np.ndarray, "*k wishes"]:
+    """The places of scaled wishes beside one another, seen along the direction in which all get better alike."""
+    return scaled - scaled.mean(axis=-1, keepdims=True)
 
 
-def simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
-    """So many points spread evenly over the inside and the edges of a simplex, without its corners."""
-    parts = 1
-    while len(inner := _lattice(size, parts)) < count:
-        parts += 1
-    return inner if len(inner) == count else [inner[i] for i in sorted(far_apart(np.array(inner), count))]
+def simplex(size: int, count: int) -> Float[np.ndarray, "k wishes"]:
+    """At least so many points spread evenly over the inside and the edges of a simplex, without its corners."""
+    parts, points = 1, np.zeros((0, size))
+    while len(points) < count:
+        parts *= 2
+        points = _lattice(size, parts)
+    return points
 
 
-def box(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
-    """Starts of so many parallel lines that pass evenly through a unit box in the direction of its diagonal.
+def box(size: int, count: int) -> Float[np.ndarray, "k wishes"]:
+    """Starts of at least so many parallel lines that pass evenly through a unit box in the direction of its diagonal.
 
     They are points of a lattice on the plane through the box's middle whose line meets it, for fronts of which no
-    simplex between the best designs is known; each is as far as can be from those before.
+    simplex between the best designs is known.
     """
-    parts, inside = 1, list[Float[np.ndarray, " wishes"]]()
-    while len(inside) < count:
-        parts += 1
-        shifted = ((size - 1) * (one - 1 / size) + 0.5 for one in _lattice(size, parts))
-        inside = [one for one in shifted if np.ptp(one) < 1.0]
-    return [inside[i] for i in far_apart(np.array(inside), count)]
+    parts, points = 1, np.zeros((0, size))
+    while len(points) < count:
+        parts *= 2
+        shifted = (size - 1) * (_lattice(size, parts) - 1 / size) + 0.5
+        points = shifted[np.ptp(shifted, axis=1) < 1.0]
+    return points
 
 
-def far_apart(values: Float[np.ndarray, "k wishes"], count: int, taken: int = 0) -> list[int]:
-    """The indices of at most so many points, each as far as can be from those before and from the first few, which are
-    taken already.
-    """
-    if len(values) <= taken:
-        return []
-    spread = np.ptp(values, axis=0)
-    scaled = values / np.where(spread > 0, spread, 1.0)
-    chosen = list(range(taken)) or [int(np.argmin(scaled[:, 0]))]
-    while len(chosen) < min(count + taken, len(values)):
-        away = np.abs(scaled[:, None] - scaled[chosen][None]).max(axis=2).min(axis=1)
-        if not away.max() > _APART:
-            break
-        chosen.append(int(np.argmax(away)))
-    return chosen[taken:]
-
-
-def _lattice(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
+def _lattice(size: int, parts: int) -> Float[np.ndarray, "k wishes"]:
     """All sums of multiples of `1 / parts` that make one, but for the corners (Das and Dennis 1998)."""
-    bars = combinations(range(parts + size - 1), size - 1)
-    every = (np.diff([-1, *one, parts + size - 1]) - 1 for one in bars)
-    return [one / parts for one in every if one.max() < parts]
+    bars = np.array(list(itertools.combinations(range(parts + size - 1), size - 1)))
+    every = np.diff(bars, axis=1, prepend=-1, append=parts + size - 1) - 1
+    return every[every.max(axis=1) < parts] / parts

@@ -11,6 +11,7 @@ from aleator._core.leaves import Drawn
 from aleator.solution import Solution
 from aleator.sweep._front import Front, point_name
 from aleator.sweep._portfolio import Starts
+from aleator.sweep._printed import table
 from aleator.sweep._runner import VALIDATE, running
 from aleator.sweep._trade_off import TradeOff
 from aleator.validation import Evidence
@@ -46,17 +47,13 @@ class EvidenceOfAll(Drawn):
 
     def __str__(self) -> str:
         names = list(dict.fromkeys(name for one in self.evidence if one for name in one.violations))
-        first, width = max(map(len, self.places)), max(32, *(len(name) + 2 for name in names), 0)
-        head = f"{'design':<{first}}" + "".join(f"{name:>{width}}" for name in names)
-        rows = []
-        for i, (place, one) in enumerate(zip(self.places, self.evidence, strict=True)):
-            if one is None:
-                rows.append(f"{place:<{first}}  {self.refused[i]}")
-                continue
-            shares = "".join(f"{one.violations[name]!s:>{width}}" for name in names if name in one.violations)
-            rows.append(f"{place:<{first}}{shares}" + ("" if one.agrees else f"  {one.alarm()}"))
-        told = "share of systems that break a limit (95 % interval)" if names else "no limit counts system by system"
-        return "\n".join([told, head, *rows, *(["interrupted by the user"] if self.interrupted else [])])
+        rows = [["share that breaks (95 % interval)", *names]]
+        for place, one in zip(self.places, self.evidence, strict=True):
+            shares = one.violations if one else {}
+            rows.append([place, *(str(shares.get(name, "")) for name in names)])
+        alarms = [f"{place}: {one.alarm()}" for place, one in self.by_place.items() if not one.agrees]
+        refused = [f"{self.places[i]}: {why}" for i, why in self.refused.items()]
+        return table(rows, *alarms, *refused, interrupted=self.interrupted)
 
 
 def validate_all(
@@ -85,12 +82,13 @@ def validate_all(
     found: dict[int, Evidence | AleatorError] = {}
     with running("validate_all", lambda: found, progress, executor) as run:
         found.update(run.each(VALIDATE, "evidence", calls, where, accepted=AleatorError))
-    results = [(*solved[i], found[i]) for i in sorted(found)]
+    places, solutions = zip(*(solved[i] for i in sorted(found)), strict=True)
+    results = [found[i] for i in sorted(found)]
     return EvidenceOfAll(
-        tuple(solution for _, solution, _ in results),
-        tuple(place for place, _, _ in results),
-        tuple(one if isinstance(one, Evidence) else None for _, _, one in results),
-        {i: str(one) for i, (_, _, one) in enumerate(results) if isinstance(one, AleatorError)},
+        solutions,
+        places,
+        tuple(one if isinstance(one, Evidence) else None for one in results),
+        {i: str(one) for i, one in enumerate(results) if isinstance(one, AleatorError)},
         run.interrupted,
     )
 

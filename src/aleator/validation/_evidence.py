@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Statistic, uncertain
+from aleator.references._estimate import pair
 from aleator.solution import Solution, ends
-from aleator.validation._comparisons import Compared, Disagreement, with_error
 from aleator.validation._shares import Proportion, check_counted, reason_uncounted
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
@@ -19,6 +19,18 @@ _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 _TOLD = 3
 
 PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
+
+# Half-width of a 95 % confidence interval, in standard errors.
+_CONFIDENT = 1.96
+
+
+def with_error(value: float, error: float) -> str:
+    """A number with its standard error, where it has any."""
+    return pair(value, error) if error > 0 else f"{value:.6g}"
+
+
+def _when(time: float | None) -> str:
+    return "" if time is None else f" at t = {time:.4g} s"
 
 
 @final
@@ -69,6 +81,69 @@ class Checked(Printed):
     def __str__(self) -> str:
         estimate = with_error(self.estimate, self.standard_error)
         return f"{self.statistic.text()}: {estimate} (expansion {self.expanded:.6g})"
+
+
+@final
+@dataclass(frozen=True)
+class Disagreement(Printed):
+    """A number of the solution that fresh simulations contradict.
+
+    - `text`: the number as mathematics, such as `σ[x(t)]`; `time`: the worst instant (s), None for a number;
+    - `expected`: its value by the solution, of which `source` names the part; `estimate`, `standard_error`: by the
+      samples.
+    """
+
+    text: str
+    expected: float
+    estimate: float
+    standard_error: float
+    time: float | None = None
+    source: str = "the expansion"
+
+    def sentence(self) -> str:
+        """The sampled and the expected value."""
+        estimate = with_error(self.estimate, self.standard_error)
+        return f"{self.text}{_when(self.time)} is {estimate}, not {self.expected:.6g} as by {self.source}"
+
+    __str__ = sentence
+
+
+@final
+@dataclass(frozen=True)
+class Compared(Printed):
+    """A limit on a statistic, evaluated with the sampled statistic instead of the expansion's.
+
+    - `value`, `standard_error`: its expression by the samples, at the `time` (s) closest to or furthest beyond the
+      bound, None for a number; the error is an upper bound where it contains several statistics;
+    - `bound`: the nearer, or the more exceeded, of the two bounds; `beyond`: by how much it is exceeded, negative
+      inside; `tolerance`: the excess that is ignored;
+    - `reach`: how many standard errors are beyond chance, given the number of its instants.
+    """
+
+    name: str
+    text: str
+    value: float
+    standard_error: float
+    time: float | None
+    bound: float
+    beyond: float
+    tolerance: float
+    reach: float
+
+    @property
+    def meets(self) -> bool | None:
+        """Whether the limit is met, with 95 % confidence; None where the samples cannot decide."""
+        # NaN meets no limit; an extreme has no standard error.
+        if np.isnan(self.beyond) or self.beyond > self.tolerance + self.reach * self.standard_error:
+            return False
+        return True if self.beyond + _CONFIDENT * self.standard_error <= self.tolerance else None
+
+    def sentence(self) -> str:
+        """The sampled value, and the verdict on the limit."""
+        verdict = {True: "met", False: "BROKEN", None: "within its error of the bound"}[self.meets]
+        return f"{self.text}: sampled {with_error(self.value, self.standard_error)}{_when(self.time)}, {verdict}"
+
+    __str__ = sentence
 
 
 @final

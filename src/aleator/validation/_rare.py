@@ -151,43 +151,30 @@ def rare_violation(
     counted = tuple(dict.fromkeys(one.name for one in systems.problem.constraints if is_counted(one)))
     names = counted if names is None else (names,) if isinstance(names, str) else tuple(names)
     check_counted("rare_violation", names, counted)
-    given = {"solution": solution, "how": (names, samples, seed, batch)}
-    return journalled(
-        "rare_violation", given, lambda: _estimated(solution, systems, names, samples, seed, batch, progress)
-    )
-
-
-def _estimated(
-    solution: Solution,
-    systems: Systems,
-    names: tuple[str, ...],
-    samples: int,
-    seed: int,
-    batch: int,
-    progress: Progress,
-) -> Share:
-    """The estimate: see `rare_violation`."""
-    generator, germs = np.random.default_rng(seed), systems.germs
     rows = [i for i, one in enumerate(systems.problem.constraints) if one.name in names and is_counted(one)]
-    systems.prepare(batch)
-
-    def simulated(part: Part) -> Float[np.ndarray, "limits some"]:
-        return systems.simulate(part.points, batch).excess[rows]
 
     def beyond(normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
-        every = parts(at_levels(germs, levels_of(normals)), batch)
+        def simulated(part: Part) -> Float[np.ndarray, "limits some"]:
+            return systems.simulate(part.points, batch).excess[rows]
+
+        every = parts(at_levels(systems.germs, levels_of(normals)), batch)
         return np.concatenate([some for _, some in each(simulated, every)], axis=1)
 
     def tell(done: int) -> None:
         progress("rare violations", done, samples)
 
-    tell(0)
-    scores = call_by_call(beyond, parts_so_far())
-    proposal = adapted(scores, len(germs), _REACH, max(1000, samples // 10), generator)
-    share = weighted(scores, proposal, samples, batch, generator, tell)
-    tell(samples)
-    if share.effective >= _ENOUGH:
-        return share
-    # A separate random stream, so that the count is independent of the search.
-    fresh = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
-    return validate(solution, samples, seed=fresh, batch=batch, keep=0).violation(*names)
+    def estimated() -> Share:
+        tell(0)
+        systems.prepare(batch)
+        generator, scores = np.random.default_rng(seed), call_by_call(beyond, parts_so_far())
+        proposal = adapted(scores, len(systems.germs), _REACH, max(1000, samples // 10), generator)
+        share = weighted(scores, proposal, samples, batch, generator, tell)
+        tell(samples)
+        if share.effective >= _ENOUGH:
+            return share
+        # A separate random stream, so that the count is independent of the search.
+        fresh = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
+        return validate(solution, samples, seed=fresh, batch=batch, keep=0).violation(*names)
+
+    given = {"solution": solution, "how": (names, samples, seed, batch)}
+    return journalled("rare_violation", given, estimated)

@@ -156,12 +156,6 @@ def check_counted(who: str, names: Sequence[str], counted: Collection[str]) -> N
         )
 
 
-def why_uncounted(problem: Problem, name: str) -> str:
-    """Why no system can be counted against the constraints called `name`; empty where it can."""
-    reasons = [reason_uncounted(one) for one in problem.named(name)]
-    return "" if "" in reasons else reasons[0]
-
-
 def broken_by(
     problem: Problem, excess: Float[np.ndarray, "constraints systems"]
 ) -> dict[str, Bool[np.ndarray, " systems"]]:

@@ -37,23 +37,17 @@ _ALONE = 10
 _FEW, _FAR = 50, 10
 
 
-def sampled_by(solution: Solution) -> int:
-    """The refinement factor, relative to a solution's own grid, of the grid for sampling systems.
+def _factors(solution: Solution) -> tuple[int, int]:
+    """The refinement factors, relative to a solution's own grid, of the grids for sampling systems, and for counting
+    them against limits over time.
 
-    1 if the error of its own grid is an order of magnitude below the tolerance; otherwise that of the grid used to
-    estimate it.
+    The first is 1 if the error of its own grid is an order of magnitude below the tolerance; otherwise that of the grid
+    used to estimate it. The second is that of the grid on which limits were held between instants, if they were;
+    otherwise the first.
     """
-    error = solution.certificate.grid_error
-    return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
-
-
-def finer_by(solution: Solution) -> int:
-    """The refinement factor, relative to a solution's own grid, of the grid for counting against limits over time.
-
-    It is that of the grid on which limits were held between instants, if they were; otherwise that of all samples.
-    """
-    between = solution.certificate.between
-    return between.factor if between is not None and between.is_strict else sampled_by(solution)
+    error, between = solution.certificate.grid_error, solution.certificate.between
+    sampled = 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
+    return sampled, between.factor if between is not None and between.is_strict else sampled
 
 
 @final
@@ -82,7 +76,7 @@ class Systems:
         self._decisions = jax_array(solution.vector)
         # So that rounding does not break a limit.
         self._tolerances = np.array([HELD * one.scale for one in solution.constraints]).reshape(-1, 1)
-        self.factor, self.counted = sampled_by(solution), finer_by(solution)
+        self.factor, self.counted = _factors(solution)
         if not self.germs:
             self.factor = self.counted = _ALONE if self.problem.system.has_time else 1
         self.sampled = _on_finer(self.problem, self.factor)

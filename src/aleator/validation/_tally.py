@@ -1,9 +1,22 @@
-"""Evidence from what systems of a sample gave, and where it contradicts the solution."""
+"""Evidence from what systems of a sample gave, and where it contradicts the solution.
 
-from collections.abc import Iterator
+Two numbers disagree if they differ by more than four standard errors of the sampled one, and by more than a hundredth
+of what one system contributes (the standard error times the square root of the number of samples): a larger sample
+resolves more, but a difference of a thousandth is never a disagreement. Where many instants are compared, Bonferroni's
+correction accounts for the worst of them by chance.
+
+Over time, a difference below a hundredth of the largest spread at any instant is not a disagreement either, as in the
+second opinion on a solution. For example, where a distance is initially to a part that does not move, its spread starts
+from zero with a kink: all points of the expansion may agree there to rounding, while one system in a thousand has moved
+slightly.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
@@ -12,6 +25,7 @@ from aleator.design import (
     Estimated,
     Problem,
     Statistic,
+    estimated,
     expanded_functionals,
     functionals_of,
     is_worst_case,
@@ -21,29 +35,17 @@ from aleator.design import (
 from aleator.nlp import HELD
 from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
-from aleator.statistics import (
-    Infimum,
-    Mean,
-    Probability,
-    Quantile,
-    Sobol,
-    Std,
-    Supremum,
-    Variance,
-)
+from aleator.statistics import Infimum, Mean, Probability, Quantile, Sobol, Std, Supremum, Variance
 from aleator.validation._batches import Batch, Sums
-from aleator.validation._comparisons import (
-    RELATIVE,
-    ROUNDING,
-    Disagreement,
-    compared,
-    is_rare,
-    worst_disagreement,
-)
-from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
-from aleator.validation._shares import broken_by
+from aleator.validation._evidence import PERCENTILES, Checked, Compared, Disagreement, Evidence, Sampled, Trajectories
+from aleator.validation._shares import Proportion, broken_by, is_counted
 from aleator.validation._systems import Systems
 
+# The two-sided probability beyond four standard deviations of a normal variable.
+_RARE = math.erfc(4 / math.sqrt(2))
+# Differences up to this fraction of one system's contribution, or of the largest spread over time, are ignored, and
+# those of rounding.
+_RELATIVE, _ROUNDING = 0.01, 1e-9
 # Differences below this part of the magnitude behind a functional are rounding.
 _ROUNDING_OF_REACH = 1e-11
 # Differences of a single system up to this part of its largest value are ignored.
@@ -159,10 +161,10 @@ def _moments(evidence: Evidence) -> Iterator[Disagreement]:
         text, is_path = functional.text(), functional.is_path
         one = evidence.functionals[text]
         ignored = (
-            ROUNDING * float(np.max(np.abs(one.mean))),
+            _ROUNDING * float(np.max(np.abs(one.mean))),
             # Some are mere rounding, such as of a rate that is zero at the end of every motion.
             _ROUNDING_OF_REACH * certificate.reaches.get(text, 0.0),
-            RELATIVE * float(np.max(one.std)) if is_path else 0.0,
+            _RELATIVE * float(np.max(one.std)) if is_path else 0.0,
             # The known error of the grid, by which samples on a finer grid differ; NaN where it is not known.
             deviations[text].error if text in deviations else 0.0,
         )
@@ -186,7 +188,7 @@ def _statistics(evidence: Evidence) -> Iterator[Disagreement]:
     for text, one in evidence.statistics.items():
         kind, expected = one.statistic.kind, one.expanded
         samples = [np.asarray(evidence.functionals[each.text()].values) for each in one.statistic.functionals]
-        if isinstance(kind, Mean | Std) or any(np.std(one) <= ROUNDING * np.max(np.abs(one)) for one in samples):
+        if isinstance(kind, Mean | Std) or any(np.std(one) <= _ROUNDING * np.max(np.abs(one)) for one in samples):
             contradicts = False  # told by their moments
         elif isinstance(kind, Probability):
             count = round(one.estimate * evidence.samples)
@@ -195,7 +197,7 @@ def _statistics(evidence: Evidence) -> Iterator[Disagreement]:
             contradicts = is_rare(int(np.sum(samples[0] <= expected)), evidence.samples, float(kind.level))
         elif isinstance(kind, Supremum | Infimum):
             past = one.estimate - expected if isinstance(kind, Supremum) else expected - one.estimate
-            contradicts = past > RELATIVE * samples[0].std()
+            contradicts = past > _RELATIVE * samples[0].std()
         else:
             numbers = np.asarray(expected), np.asarray(one.estimate), np.asarray(one.standard_error)
             freedom = group_count(evidence.samples) - 1
@@ -216,3 +218,76 @@ def _limits(evidence: Evidence) -> Iterator[Disagreement]:
         for_all = is_worst_case(limit) or any(isinstance(atom.kind, Supremum | Infimum) for atom in atoms)
         if share is not None and share.count and for_all:
             yield Disagreement(f"The share of systems that break '{limit.name}'", 0.0, share.estimate, np.nan)
+
+
+# --- Comparisons -----------------------------------------------------------------------------------------------------
+
+
+def reach(freedom: int, comparisons: int = 1) -> float:
+    """How many standard errors are beyond chance, by Student's t: four for one comparison and a large sample."""
+    return float(-scipy.special.stdtrit(freedom, _RARE / 2 / comparisons))
+
+
+def worst_disagreement(
+    text: str,
+    expected: Float[np.ndarray, "*shape"],
+    estimate: Float[np.ndarray, "*shape"],
+    standard_error: Float[np.ndarray, "*shape"],
+    *,
+    samples: int,
+    freedom: int,
+    floor: float = 0.0,
+    times: Float[np.ndarray, " instants"] | None = None,
+) -> Disagreement | None:
+    """The worst disagreement of a sampled number, or one per instant, with the expected one; None if it agrees.
+
+    Differences up to `floor` are ignored.
+    """
+    expected, estimate, error = np.broadcast_arrays(expected, np.asarray(estimate, float), standard_error)
+    floor = max(floor, _ROUNDING * float(np.max(np.abs([expected, estimate]))), 1e-300)
+    limit = max(reach(freedom, estimate.size), _RELATIVE * np.sqrt(samples)) * error
+    with np.errstate(invalid="ignore"):
+        ratio = np.nan_to_num(np.abs(estimate - expected) / np.maximum(limit, floor), nan=np.inf)
+    ratio = np.where(np.isnan(error), 0.0, ratio)  # without a standard error there is no verdict
+    i = int(np.argmax(ratio))
+    if not ratio.flat[i] > 1:
+        return None
+    numbers = float(expected.flat[i]), float(estimate.flat[i]), float(error.flat[i])
+    return Disagreement(text, *numbers, _instant(times, i, estimate.size))
+
+
+def _instant(times: Float[np.ndarray, " instants"] | None, place: int, size: int) -> float | None:
+    """The instant of a number among all of a path, whose values may have several components."""
+    return None if times is None else float(times[place // (size // len(times))])
+
+
+def is_rare(count: int, samples: int, probability: float) -> bool:
+    """Whether a count disagrees with a probability, by the exact interval and by an amount that matters."""
+    share = Proportion(count, samples, confidence=1 - _RARE)
+    inside = share.lower <= probability <= share.upper
+    return not inside and abs(share.estimate - probability) > _RELATIVE * np.sqrt(probability * (1 - probability))
+
+
+def compared(solution: Solution, problem: Problem, known: Mapping[str, Estimated], freedom: int) -> Iterator[Compared]:
+    """The limits on statistics of all systems, without those that need statistics other than the `known`, by text."""
+    for limit, solved in zip(problem.constraints, solution.constraints, strict=True):
+        if is_counted(limit) or not any(isinstance(leaf, Statistic) for leaf in limit.expression.leaves):
+            continue
+        if (sampled := estimated(problem, limit.expression, known, solution.vector)) is None:
+            continue
+        value, error = np.ravel(sampled.value), np.ravel(sampled.error)
+        lower, upper = float(limit.lower), float(limit.upper)
+        beyond = np.maximum(value - upper, lower - value)
+        sure = reach(freedom, value.size)
+        i = int(np.argmax(beyond - sure * error))
+        yield Compared(
+            name=limit.name,
+            text=str(limit),
+            value=float(value[i]),
+            standard_error=float(error[i]),
+            time=_instant(solution.times_of(limit) if limit.is_path else None, i, value.size),
+            bound=upper if value[i] - upper >= lower - value[i] else lower,
+            beyond=float(beyond[i]),
+            tolerance=HELD * solved.scale,
+            reach=sure,
+        )

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -74,8 +74,34 @@ def validate(
         worst = max(every, key=lambda one: one.joint.count)
         disagreements = tuple(itertools.chain.from_iterable(one.disagreements for one in every))
         return replace(worst, solution=solution, disagreements=disagreements, over_intervals=every)
+
+    def sampled() -> Evidence:
+        started = time.perf_counter()
+        systems, before = Systems(solution, "validate"), samples
+        if not systems.germs:
+            only = systems.simulate(np.zeros((1, 0)), 1)
+            return evidence_of(solution, systems, only, 0, time.perf_counter() - started)
+        size = min(batch, samples)
+        _refuse_large(systems, samples, size)
+        if systems.folds and samples * (systems.sampled.grid.steps + 1) >= _MANY:
+            # Trajectories are kept of the first systems, so these are not folded.
+            before = min(-(-keep // size) * size, samples)
+        own = {"seed": seed, "keep": keep, "before": before}
+
+        def work(some: Sequence[range]) -> Iterator[tuple[range, Batch]]:
+            if executor is None:
+                return simulated(systems, some, **own)
+            return each_of(executor, _simulated_there, some, {"solution": solution, **own}, "validate")
+
+        batches: list[Batch] = []
+        progress("Monte Carlo", 0, samples)
+        for stretch, found in part_by_part(stretches(samples, size, before), work, parts_so_far()):
+            batches.append(found)
+            progress("Monte Carlo", stretch.stop, samples)
+        return evidence_of(solution, systems, Batch.joined(batches), seed, time.perf_counter() - started)
+
     given = validated_from(solution, samples, seed=seed, batch=batch, keep=keep)
-    evidence = journalled("validate", given, lambda: _sampled(solution, samples, seed, batch, keep, executor, progress))
+    evidence = journalled("validate", given, sampled)
     if not evidence.agrees:
         warnings.warn(f"validate: {evidence.alarm()}", ExpansionWarning, stacklevel=2)
     return evidence if evidence.solution is solution else replace(evidence, solution=solution)
@@ -88,37 +114,9 @@ def validated_from(
     return {"solution": solution, "how": (samples, seed, batch, keep)}
 
 
-def _sampled(
-    solution: Solution, samples: int, seed: int, batch: int, keep: int, executor: Executor | None, progress: Progress
-) -> Evidence:
-    """The evidence: see `validate`."""
-    started = time.perf_counter()
-    systems = Systems(solution, "validate")
-    if not systems.germs:
-        return evidence_of(solution, systems, systems.simulate(np.zeros((1, 0)), 1), 0, time.perf_counter() - started)
-    batch, before = min(batch, samples), samples
-    _refuse_large(systems, samples, batch)
-    if systems.folds and samples * (systems.sampled.grid.steps + 1) >= _MANY:
-        # Trajectories are kept of the first systems, so these are not folded.
-        before = min(-(-keep // batch) * batch, samples)
-    how = {"seed": seed, "keep": keep}
-
-    def work(some: Sequence["Stretch"]) -> Iterator[tuple["Stretch", Batch]]:
-        if executor is None:
-            return simulated(systems, some, **how)
-        return each_of(executor, _simulated_there, some, {"solution": solution, **how}, "validate")
-
-    batches: list[Batch] = []
-    progress("Monte Carlo", 0, samples)
-    for stretch, found in part_by_part(stretches(samples, batch, before), work, parts_so_far()):
-        batches.append(found)
-        progress("Monte Carlo", stretch.end, samples)
-    return evidence_of(solution, systems, Batch.joined(batches), seed, time.perf_counter() - started)
-
-
-def _simulated_there(solution: Solution, seed: int, keep: int, items: Sequence["Stretch"]) -> list[Batch]:
+def _simulated_there(solution: Solution, seed: int, keep: int, before: int, items: Sequence[range]) -> list[Batch]:
     refuse_other_code(solution.problem)
-    return [found for _, found in simulated(Systems(solution, "validate"), items, seed, keep)]
+    return [found for _, found in simulated(Systems(solution, "validate"), items, seed, keep, before)]
 
 
 def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
@@ -138,46 +136,35 @@ _MANY = 3e7
 _TOGETHER = 8
 
 
-class Stretch(NamedTuple):
-    """Systems of a sample, one after another: the first one's number, how many, how many at a time, whether folded."""
+def stretches(samples: int, batch: int, before: int) -> tuple[range, ...]:
+    """A sample in stretches, the same wherever they are simulated: the numbers of their systems, in steps of a batch.
 
-    first: int
-    systems: int
-    batch: int
-    is_folded: bool
-
-    @property
-    def end(self) -> int:
-        """The number of the system after the last one."""
-        return self.first + self.systems
-
-
-def stretches(samples: int, batch: int, before: int) -> tuple[Stretch, ...]:
-    """A sample in stretches, the same wherever they are simulated; all systems but those `before` are folded."""
+    All systems but those `before` are folded.
+    """
     together = min(_TOGETHER * batch, max(samples - before, 1))
     return tuple(
-        Stretch(first, min(length, end - first), batch, is_folded)
-        for begin, end, batch, is_folded in ((0, before, batch, False), (before, samples, together, True))
-        for length in [batch * max(-(-samples // (_MOST * batch)), 1)]
+        range(first, min(first + length, end), size)
+        for begin, end, size in ((0, before, batch), (before, samples, together))
+        for length in [size * max(-(-samples // (_MOST * size)), 1)]
         for first in range(begin, end, length)
     )
 
 
-def simulated(systems: Systems, some: Sequence[Stretch], seed: int, keep: int) -> Iterator[tuple[Stretch, Batch]]:
+def simulated(
+    systems: Systems, some: Sequence[range], seed: int, keep: int, before: int
+) -> Iterator[tuple[range, Batch]]:
     """What each of some stretches gives, in order, on all cores; values of path constraints for the first `keep`.
 
     Raises `SimulationError` if a system's results are not finite, naming its parameter values.
     """
-    for size, is_folded in {(one.batch, one.is_folded) for one in some}:
+    for size, is_folded in {(one.step, one.start >= before) for one in some}:
         systems.prepare(size, is_folded=is_folded)
 
-    items = [(one, first) for one in some for first in range(one.first, one.end, one.batch)]
-
-    def batch_of(item: tuple[Stretch, int]) -> Batch:
+    def batch_of(item: tuple[range, int]) -> Batch:
         stretch, first = item
-        points = drawn_from(systems.germs, seed, first, min(stretch.batch, stretch.end - first))
-        return systems.simulate(points, stretch.batch, max(keep - first, 0), is_folded=stretch.is_folded)
+        points = drawn_from(systems.germs, seed, first, min(stretch.step, stretch.stop - first))
+        return systems.simulate(points, stretch.step, max(keep - first, 0), is_folded=first >= before)
 
-    batches = each(batch_of, items)
+    batches = each(batch_of, [(stretch, first) for stretch in some for first in stretch])
     for one in some:
-        yield one, Batch.joined([done for _, done in itertools.islice(batches, -(-one.systems // one.batch))])
+        yield one, Batch.joined([done for _, done in itertools.islice(batches, len(one))])
