@@ -68,17 +68,18 @@ class AbstractLocalSolver(AbstractSolver):
             multipliers = checked("multipliers", multipliers, program.constraint_lower.shape)
         scaled = ScaledProgram(program, start)
         with scaled.evaluations.noting_interrupts():
-            answer, verdict = self._judged(scaled, multipliers)
-            if verdict.status is Status.FAILED:
-                answer, verdict = self._with_kinks_held(program, scaled, answer, verdict)
+            verdict = self._judged(scaled, multipliers)
+            if verdict.answer.claim is Status.FAILED:
+                verdict = self._with_kinks_held(program, scaled, verdict)
         seconds = time.perf_counter() - began
-        rows, bounds = scaled.to_user(verdict.multipliers, verdict.user)
-        active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
+        answer, user = verdict.answer, verdict.user
+        rows, bounds = scaled.to_user(verdict.multipliers, user)
+        active, active_bounds = scaled.active(answer.point, user, verdict.multipliers)
         objectives, violations = np.array(scaled.evaluations.visited).reshape(-1, 2).T
         return Outcome(
-            status=verdict.status,
-            point=scaled.unscaled(verdict.point),
-            evaluation=verdict.user,
+            status=answer.claim,
+            point=scaled.unscaled(answer.point),
+            evaluation=user,
             multipliers=rows,
             bound_multipliers=bounds,
             **dataclasses.asdict(verdict.certificate),
@@ -86,11 +87,11 @@ class AbstractLocalSolver(AbstractSolver):
             evaluations=len(objectives),
             seconds=seconds,
             solver=self.name,
-            message=verdict.message,
+            message=f"{verdict.reason} (the solver said: {answer.message})" if verdict.reason else answer.message,
             active=active,
             active_bounds=active_bounds,
             sizes=scaled.every_scale,
-            failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
+            failed_at=scaled.evaluations.failed_at if answer.claim is Status.EVALUATION_FAILED else None,
             strayed=verdict.strayed,
             visited=Searched(self.name, objectives, violations, answer.message, seconds),
         )
@@ -103,13 +104,13 @@ class AbstractLocalSolver(AbstractSolver):
         `HaltedError` and `KeyboardInterrupt`.
         """
 
-    def _judged(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> tuple[Answer, Verdict]:
-        """The answer and its verdict, for every way in which a run ends, or raise the model's exception."""
+    def _judged(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Verdict:
+        """The verdict for every way in which a run ends, or the model's exception."""
         answer = Answer(Status.FAILED, scaled.start, message="stopped by the model")
         try:
             answer = self._rounds(scaled, multipliers)
             if scaled.evaluations.halt is None:
-                return answer, judge(scaled, answer, self.tolerance)
+                return judge(scaled, answer, self.tolerance)
         except HaltedError:
             pass
         except KeyboardInterrupt as interrupt:
@@ -122,38 +123,38 @@ class AbstractLocalSolver(AbstractSolver):
             answer = Answer(Status.EVALUATION_FAILED, scaled.start, iterations=answer.iterations, message=message)
         elif halt is not None:
             raise halt
-        return answer, judge(scaled, answer, self.tolerance)
+        return judge(scaled, answer, self.tolerance)
 
-    def _with_kinks_held(
-        self, program: NonlinearProgram, scaled: ScaledProgram, answer: Answer, verdict: Verdict
-    ) -> tuple[Answer, Verdict]:
-        """The optimum along the kinks at an answer, if that is one in all; else the answer unchanged.
+    def _with_kinks_held(self, program: NonlinearProgram, scaled: ScaledProgram, verdict: Verdict) -> Verdict:
+        """The optimum along the kinks at an answer, if that is one in all; else the verdict unchanged.
 
         A function may have a kink, as a standard deviation has where it becomes zero: at a bound, or in a limit.
         Derivatives there say nothing of those beside it, and the library makes no more progress. So the variables at a
         bound stay there, and none moves across a kink of a row.
         """
-        kinks = kinks_at(scaled, verdict.point)
-        _, at_bound = scaled.active(verdict.point, verdict.user, verdict.multipliers)
-        point = scaled.unscaled(verdict.point)
-        at_bound &= (point == program.lower) | (point == program.upper)
+        answer, kinks = verdict.answer, kinks_at(scaled, verdict.answer.point)
+        point = scaled.unscaled(answer.point)
+        at_bound = (point == program.lower) | (point == program.upper)
         if kinks is not None:
             along = _along(program, kinks.normals, point)
-        elif at_bound.any() and not at_bound.all():
+        elif (at_bound & (program.lower < program.upper)).any() and not at_bound.all():
             lower, upper = (np.where(at_bound, point, bounds) for bounds in (program.lower, program.upper))
             along = dataclasses.replace(program, lower=lower, upper=upper)
         else:
-            return answer, verdict
+            return verdict
         held = ScaledProgram(along, point)
-        further, _ = self._judged(held, None)
+        further = self._judged(held, None).answer
         scaled.evaluations.visited += held.evaluations.visited
-        further = further._replace(
-            point=ScaledProgram(program, held.unscaled(further.point)).start,
-            multipliers=None,
-            iterations=answer.iterations + further.iterations,
+        again = judge(
+            scaled,
+            further._replace(
+                point=ScaledProgram(program, held.unscaled(further.point)).start,
+                multipliers=None,
+                iterations=answer.iterations + further.iterations,
+            ),
+            self.tolerance,
         )
-        again = judge(scaled, further, self.tolerance)
-        return (further, again) if again.status is Status.SOLVED else (answer, verdict)
+        return again if again.answer.claim is Status.SOLVED else verdict
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Minimise, and repeat from the answer in the scales taken there, until it is accepted in them."""
@@ -182,12 +183,10 @@ class AbstractLocalSolver(AbstractSolver):
             answer, stands = settle(scaled, answer, self.tolerance)
             if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
                 return answer
-            in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
-            sharper = (
-                (in_vain or tried)
-                and (scaled.straightness.is_shown or not has_run_away(scaled, answer.point))
-                and scaled.take_differences()
-            )
+            is_straight = scaled.evaluations.is_straight
+            in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or is_straight
+            is_near = is_straight or not has_run_away(scaled, answer.point)
+            sharper = (in_vain or tried) and is_near and scaled.take_differences()
             # A pattern that was outgrown says nothing of the scales.
             if not in_vain and scaled.sparsity is pattern:
                 if tried and not sharper and scaled.scales.is_near(ran_in, _SAME_SCALE):

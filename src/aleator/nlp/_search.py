@@ -2,10 +2,8 @@
 
 import abc
 import contextlib
-import functools
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
@@ -31,8 +29,6 @@ _WEIGHTS = (10.0, 1e3, 1e5)
 _POLISHED = 5
 # A point of the search that is lower than the polished one by this part of the objective is better.
 _LOWER = 1e-6
-# More variables than a search without derivatives has a use for.
-_MOST_VARIABLES = 500
 
 
 @final
@@ -147,15 +143,12 @@ class AbstractSearch(AbstractSolver):
         return sought, Searched(self.method, *sought.history, sought.end, sought.seconds)
 
     def _check(self, program: NonlinearProgram) -> None:
-        free = program.lower < program.upper
-        open_ended = free & ~(np.isfinite(program.lower) & np.isfinite(program.upper))
+        open_ended = (program.lower < program.upper) & ~np.isfinite(program.upper - program.lower)
         if not isinstance(program.sparsity, np.ndarray | None):
             what = (
-                "a program whose states are simulated, by transcription=al.Sequential(), since it knows no derivatives "
-                "and cannot hold equations of motion as constraints; received a sparse one"
+                "a program whose states are simulated, by transcription=al.Sequential(), since it cannot hold the "
+                "equations of motion as constraints; received a sparse one"
             )
-        elif (count := int(free.sum())) > _MOST_VARIABLES:
-            what = f"at most {_MOST_VARIABLES} variables; received {count}. Use al.solvers.FilterSQP() or Ipopt()"
         elif self.needs_bounds and open_ended.any():
             what = f"finite bounds of every variable; variable {int(np.argmax(open_ended))} has none"
         else:
@@ -191,16 +184,15 @@ class AbstractSearch(AbstractSolver):
 
         count = max(min(self.first_points, self.evaluations) - 1, 0)
         drawn = qmc.LatinHypercube(sought.size, rng=generator).random(count) if count else np.zeros((0, sought.size))
-        closed = np.isfinite(sought.upper - sought.lower)
-        drawn = np.where(closed, drawn, sought.start + 2 * drawn - 1)
+        drawn = np.where(np.isfinite(sought.upper - sought.lower), drawn, sought.start + 2 * drawn - 1)
         points = np.concatenate([sought.start[None], np.clip(drawn, sought.lower, sought.upper)])
-        merits = sought.merits(points)
-        return points[np.argsort(merits, kind="stable")]
+        return points[np.argsort(sought.merits(points), kind="stable")]
 
     def _polished(self, program: NonlinearProgram, sought: Sought) -> tuple[Outcome, bool]:
-        """The best of a few points that are far apart, polished, and whether the user stopped that."""
-        outcomes: list[Outcome] = []
-        is_cut = False
+        """The best of a few points that are far apart, polished, or that of the search, with the effort of all; and
+        whether the user stopped polishing.
+        """
+        outcomes, is_cut = list[Outcome](), False
         try:
             for point in sought.candidates(_POLISHED if self.polish else 1):
                 outcomes.append(self.local.solve(program, start=point))
@@ -208,23 +200,17 @@ class AbstractSearch(AbstractSolver):
                     break
         except KeyboardInterrupt:
             is_cut = True
-        best = self._best(program, sought, outcomes)
+        seen, lowest = sought.best_held(HELD)
+        best = min([one for one in outcomes if one.ok] or outcomes, key=_rank, default=None)
+        reached = best.evaluation.objective if best is not None and best.violation <= HELD else np.nan
+        if best is None or not reached <= lowest + _LOWER * max(abs(lowest), abs(reached)):
+            # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
+            outcomes.append(_AsItIs(self.tolerance).solve(program, start=seen))
+            best = min(outcomes, key=_rank)
+        best = best.with_effort_of(*(one for one in outcomes if one is not best))
         if is_cut and not best.ok:
             best = replace(best, status=Status.INTERRUPTED, message="the best point so far")
         return best, is_cut
-
-    def _best(self, program: NonlinearProgram, sought: Sought, polished: Sequence[Outcome]) -> Outcome:
-        """The best of some polished points, or that of the search, with the effort of all."""
-        seen, lowest = sought.best_held(HELD)
-        as_it_is = functools.partial(_AsItIs(self.tolerance).solve, program, start=seen)
-        outcomes = list(polished) or [as_it_is()]
-        best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
-        reached = best.evaluation.objective
-        if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
-            # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
-            outcomes.append(as_it_is())
-            best = min(outcomes, key=_rank)
-        return best.with_effort_of(*(one for one in outcomes if one is not best))
 
 
 def _rank(outcome: Outcome) -> tuple[bool, float]:

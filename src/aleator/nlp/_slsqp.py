@@ -13,7 +13,8 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._program import Evaluation, Sides, dense_rows
+from aleator.nlp._matrices import dense_rows
+from aleator.nlp._program import Evaluation, Sides
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import Status
 from aleator.nlp._verdict import LOST, Answer

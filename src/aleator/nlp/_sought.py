@@ -10,7 +10,6 @@ import scipy
 from jaxtyping import Float
 
 from aleator._core.border import Progress
-from aleator._core.errors import ProblemError
 from aleator.nlp._program import NonlinearProgram
 
 # Points that are compared with one another at most, among them all of the best.
@@ -73,11 +72,10 @@ class Sought:
         self.lower, self.upper = (lower - self._origin) / self._length, (upper - self._origin) / self._length
         self.start = (self._fixed[self._free] - self._origin) / self._length
         self.size = len(self._free)
-        self.weight, self.limit = 0.0, self._most
+        self.weight, self.limit, self.count = 0.0, self._most, 0
         self.halt: BaseException | None = None
         self.end = "its method ended"
         self._began = time.perf_counter()
-        self.count = 0
         self._spread = 0.0
         self._parts = [_Points(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
 
@@ -97,14 +95,14 @@ class Sought:
         self.limit = self.count + math.ceil(share * (self._most - self.count))
 
     @property
-    def is_over(self) -> bool:
-        """Whether no further point may be evaluated."""
-        return self.halt is not None or self.is_spent
-
-    @property
     def is_spent(self) -> bool:
         """Whether the whole budget is spent."""
         return self.count >= self._most or (self.count > 0 and self.seconds >= self._longest)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further point may be evaluated."""
+        return self.halt is not None or self.is_spent
 
     @property
     def seconds(self) -> float:
@@ -142,9 +140,9 @@ class Sought:
         """
         kept = self._finite
         near = kept.violations <= max(_NEAR, 2 * np.min(kept.violations, initial=np.inf))
-        ranked = kept.points[np.lexsort((np.where(near, kept.objectives, kept.violations), ~near))]
-        rest = ranked[_BEST:]
-        ranked = np.concatenate([ranked[:_BEST], rest[:: -(-len(rest) // _COMPARED) or 1]])
+        ranks = np.lexsort((np.where(near, kept.objectives, kept.violations), ~near))
+        every = 1 + len(ranks[_BEST:]) // _COMPARED
+        ranked = kept.points[np.append(ranks[:_BEST], ranks[_BEST::every])]
         chosen: list[Float[np.ndarray, " size"]] = []
         for rank, point in enumerate(ranked):
             if len(chosen) == most:
@@ -167,16 +165,15 @@ class Sought:
         The first of the candidates, and infinity, if there is none.
         """
         kept = self._finite
-        objectives = np.where(kept.violations <= violation, kept.objectives, np.inf)
-        if np.min(objectives, initial=np.inf) == np.inf:
+        held = np.flatnonzero(kept.violations <= violation)
+        if not held.size:
             return self.candidates(1)[0], np.inf
-        least = int(np.argmin(objectives))
-        return self._unscaled(kept.points[[least]])[0], float(objectives[least])
+        least = held[np.argmin(kept.objectives[held])]
+        return self._unscaled(kept.points[[least]])[0], float(kept.objectives[least])
 
     def _merits(self, found: _Points) -> Float[np.ndarray, " k"]:
-        if not self._spread:
-            self._spread = _spread(found.objectives)
         known = np.isfinite(found.objectives)
+        self._spread = self._spread or _spread(found.objectives[known])
         merits = np.where(known, found.objectives, 0.0) / (self._spread or 1.0) + self.weight * found.violations
         return np.where(known, np.minimum(merits, _WALL), _WALL)
 
@@ -198,18 +195,10 @@ class Sought:
         return found
 
     def _values(self, points: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
-        program, shape = self._program, (len(points), len(self._program.constraint_lower))
-        if program.values is None:
-            found = [program.evaluate(one) for one in points]
-            constraints = np.array([one.constraints for one in found]).reshape(shape)
-            return np.array([one.objective for one in found]), constraints
-        objectives, constraints = map(np.asarray, program.values(points))
-        if objectives.shape != shape[:1] or constraints.shape != shape:
-            raise ProblemError(
-                f"Expected `values` of shapes {shape[:1]} and {shape}. "
-                f"Received {objectives.shape} and {constraints.shape}."
-            )
-        return objectives, constraints
+        if self._program.values is not None:
+            return self._program.values(points)
+        found = [self._program.evaluate(one) for one in points]
+        return np.array([one.objective for one in found]), np.stack([one.constraints for one in found])
 
     @property
     def _every(self) -> _Points:
@@ -228,11 +217,9 @@ class Sought:
 
 
 def _spread(objectives: Float[np.ndarray, " k"]) -> float:
-    """How far finite objectives differ: the middle half of them, else all."""
-    known = objectives[np.isfinite(objectives)]
-    if not len(known):
+    """How far objectives differ: the middle half of them, else all; zero if they do by rounding alone."""
+    if not objectives.size:
         return 0.0
-    size = _ROUNDING * float(np.abs(known).max())
-    first, last = np.quantile(known, [0.25, 0.75])
-    half, all_ = float(last - first), float(np.ptp(known))
-    return half if half > size else all_ if all_ > size else 0.0
+    half = float(np.subtract(*np.quantile(objectives, [0.75, 0.25])))
+    size = _ROUNDING * float(np.abs(objectives).max())
+    return next((one for one in (half, float(np.ptp(objectives))) if one > size), 0.0)
