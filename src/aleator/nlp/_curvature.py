@@ -37,17 +37,14 @@ _CLOSE = 1e-6
 class Descent(NamedTuple):
     """A noticeable descent from a point that meets the first-order conditions.
 
-    - `fall`: of the objective by the quadratic model, in user units; `slope`: the largest entry of the scaled gradient;
-    - `point`: one that is lower indeed, shape (n_free,); None if none of those tried is;
-    - `holds`: whether all limits hold at that point;
-    - `is_doubtful`: whether nothing shows the descent: differences may be rounding, or a limit stands in its way.
+    - `point`: one that is lower indeed, shape (n_free,); `holds`: whether all limits hold there;
+    - `fall`: of the objective by the quadratic model, in user units; `slope`: the largest entry of the scaled gradient.
     """
 
+    point: np.ndarray
+    holds: bool
     fall: float
     slope: float
-    point: np.ndarray | None
-    holds: bool
-    is_doubtful: bool
 
 
 def descent(
@@ -124,13 +121,13 @@ def descent(
         inside = bool(scaled.limits.excess(there.constraints).max(initial=0.0) <= _CLOSE)
         if change >= max(_BROUGHT * predicted(share), noticeable) and (lowest is None or inside):
             lowest, holds = moved, inside
-    # A row that is at its bound may stand in the way of the step.
+    # Where no step is lower, differences are rounding. A row that is at its bound may stand in the way of the step.
     rows, signs, gaps = scaled.limits.within(here.constraints)
     towards = signs * (here.jacobian @ (directions @ (newton + leave)))[rows] > 0
     is_equal = scaled.constraint_lower == scaled.constraint_upper
-    is_blocked = not holds and bool(np.any((gaps <= _CLOSE) & towards & ~is_equal[rows]))
-    fall, steepest = predicted(1.0) * scaled.scales.objective, float(np.abs(slope).max())
-    return Descent(fall, steepest, lowest, holds, is_doubtful=lowest is None or is_blocked)
+    if lowest is None or (not holds and np.any((gaps <= _CLOSE) & towards & ~is_equal[rows])):
+        return None
+    return Descent(lowest, holds, predicted(1.0) * scaled.scales.objective, float(np.abs(slope).max()))
 
 
 def _steps(

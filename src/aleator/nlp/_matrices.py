@@ -116,11 +116,11 @@ class Block:
         self._part = numbered.data - 1
         self.sparsity = with_entries(numbered, np.ones(numbered.nnz, dtype=bool))
 
-    def factors(self, row_factors: np.ndarray, column_factors: np.ndarray) -> np.ndarray:
-        """The factor of each entry from those of rows and columns."""
+    def factors(self, row_divisors: np.ndarray, column_factors: np.ndarray) -> np.ndarray:
+        """The factor of each entry from divisors of rows and factors of columns."""
         if isinstance(self.sparsity, np.ndarray):
-            return row_factors[:, None] * column_factors
-        return row_factors[rows_of_entries(self.sparsity)] * column_factors[self.sparsity.indices]
+            return column_factors / row_divisors[:, None]
+        return column_factors[self.sparsity.indices] / row_divisors[rows_of_entries(self.sparsity)]
 
     def of(self, matrix: Matrix, factors: np.ndarray) -> Matrix:
         """The block of one of these matrices, times the factors of its entries."""

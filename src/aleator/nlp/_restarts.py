@@ -187,7 +187,7 @@ def _descended(
     scaled.rescale(z, Scales(objective, outcome.sizes[scaled.useful]))
     bounds = (outcome.bound_multipliers * program.variable_scale)[free] / objective
     further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), unmoved[free])
-    return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
+    return [] if further is None else [scaled.unscaled(further.point)]
 
 
 def _is_flat(there: Evaluation) -> np.ndarray:

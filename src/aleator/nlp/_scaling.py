@@ -104,7 +104,7 @@ class ScaledProgram:
         self.curved: SparseMatrix | None = None
         if program.hessian is not None:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
-            self._hessian_factor = self._hessian_block.factors(self._variable_scale, self._variable_scale)
+            self._hessian_factor = self._hessian_block.factors(1 / self._variable_scale, self._variable_scale)
             self.curved = self._hessian_block.sparsity
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
@@ -132,7 +132,7 @@ class ScaledProgram:
         """Continue from `z`, shape (n_free,), in other scales. The caller must convert its multipliers."""
         self.start = np.clip(z, self.lower, self.upper)
         self.scales = scales
-        self._jacobian_factor = self._block.factors(1 / scales.constraints, self._variable_scale)
+        self._jacobian_factor = self._block.factors(scales.constraints, self._variable_scale)
         self.constraint_lower = self.program.constraint_lower[self.useful] / scales.constraints
         self.constraint_upper = self.program.constraint_upper[self.useful] / scales.constraints
         self._last = None

@@ -137,10 +137,10 @@ class AbstractSearch(AbstractSolver):
         with heeding(alone=True) as heed:
             sought = Sought(program, start, (self.evaluations, self.seconds), self.progress, heed)
             if sought.size:
-                self._search(sought)
+                self._search(program, sought)
         if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
             raise sought.halt
-        return sought, Searched(self.method, *sought.history, sought.end, sought.seconds)
+        return sought, Searched(self.method, *sought.found[1:], sought.end, sought.seconds)
 
     def _check(self, program: NonlinearProgram) -> None:
         open_ended = (program.lower < program.upper) & ~np.isfinite(program.upper - program.lower)
@@ -155,13 +155,13 @@ class AbstractSearch(AbstractSolver):
             return
         raise ProblemError(f"{type(self).__name__} searches without derivatives: expected {what}.")
 
-    def _search(self, sought: Sought) -> None:
+    def _search(self, program: NonlinearProgram, sought: Sought) -> None:
         generator = np.random.default_rng(self.seed)
         sought.weight = _WEIGHTS[0]
         try:
             first = self._first(sought, generator)
             for weight in _WEIGHTS:
-                is_last = weight == _WEIGHTS[-1] or not sought.is_constrained
+                is_last = weight == _WEIGHTS[-1] or not np.isfinite(program.limits).any()
                 sought.begin_round(weight, 1.0 if is_last else 0.5)
                 with contextlib.suppress(EndedError):
                     self.explore(sought, first, generator)

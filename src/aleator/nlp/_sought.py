@@ -29,8 +29,10 @@ class EndedError(Exception):
     """A search must end: its budget is spent, or the user or the model stopped it."""
 
 
-class _Points(NamedTuple):
-    """Points with what is known of each: an objective that is not a number where the model could not be evaluated."""
+class Found(NamedTuple):
+    """Points with what is known of each: an objective that is not a number where the model could not be evaluated, and
+    the largest violation.
+    """
 
     points: Float[np.ndarray, "k n"]
     objectives: Float[np.ndarray, " k"]
@@ -48,7 +50,7 @@ class Sought:
     - `budget`: how many points may be evaluated, and for how long, s;
     - `size`: the number of free variables; `start`: shape (size,);
     - `lower`, `upper`: bounds in these coordinates, shape (size,), infinite where there is none;
-    - `count`: of points evaluated; `limit`: the number at which the present round ends;
+    - `found`: the points evaluated, in order; `limit`: the number at which the present round ends;
     - `weight`: that of violations;
     - `halt`: what stopped the search, if anything did; `end`: why it ended, in words.
     """
@@ -72,12 +74,12 @@ class Sought:
         self.lower, self.upper = (lower - self._origin) / self._length, (upper - self._origin) / self._length
         self.start = (self._fixed[self._free] - self._origin) / self._length
         self.size = len(self._free)
-        self.weight, self.limit, self.count = 0.0, self._most, 0
+        self.weight, self.limit = 0.0, self._most
         self.halt: BaseException | None = None
         self.end = "its method ended"
         self._began = time.perf_counter()
         self._spread = 0.0
-        self._parts = [_Points(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
+        self.found = Found(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))
 
     @property
     def bounds(self) -> Any:
@@ -85,9 +87,9 @@ class Sought:
         return scipy.optimize.Bounds(self.lower, self.upper)
 
     @property
-    def is_constrained(self) -> bool:
-        """Whether there are constraints."""
-        return bool(np.isfinite(self._program.limits).any())
+    def count(self) -> int:
+        """How many points were evaluated."""
+        return len(self.found.objectives)
 
     def begin_round(self, weight: float, share: float) -> None:
         """Weigh violations anew, with a share of what is left of the budget."""
@@ -108,11 +110,6 @@ class Sought:
     def seconds(self) -> float:
         """The time since the search began."""
         return time.perf_counter() - self._began
-
-    @property
-    def history(self) -> tuple[Float[np.ndarray, " evaluations"], Float[np.ndarray, " evaluations"]]:
-        """The objective and the largest violation of every point, in order."""
-        return self._every.objectives, self._every.violations
 
     def merits(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
         """The merits of some points, which are clipped to the bounds, from one call of the model.
@@ -171,44 +168,35 @@ class Sought:
         least = held[np.argmin(kept.objectives[held])]
         return self._unscaled(kept.points[[least]])[0], float(kept.objectives[least])
 
-    def _merits(self, found: _Points) -> Float[np.ndarray, " k"]:
+    def _merits(self, found: Found) -> Float[np.ndarray, " k"]:
         known = np.isfinite(found.objectives)
         self._spread = self._spread or _spread(found.objectives[known])
         merits = np.where(known, found.objectives, 0.0) / (self._spread or 1.0) + self.weight * found.violations
         return np.where(known, np.minimum(merits, _WALL), _WALL)
 
-    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> _Points:
+    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> Found:
+        program, places = self._program, self._unscaled(points)
         try:
             self._heed()
-            objectives, constraints = self._values(self._unscaled(points))
+            if program.values is not None:
+                objectives, constraints = program.values(places)
+            else:
+                every = [program.evaluate(one) for one in places]
+                objectives, constraints = (np.array([one[part] for one in every]) for part in (0, 2))
         except BaseException as error:
             self.halt = error
             raise EndedError from error
         known = np.isfinite(objectives) & np.isfinite(constraints).all(axis=1)
         with np.errstate(invalid="ignore"):
-            beyond = self._program.limits.excess(constraints) / self._program.constraint_scale
-            worst = np.max(beyond, axis=1, initial=0.0)
-        found = _Points(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
-        self._parts.append(found)
-        self.count += len(points)
+            worst = np.max(program.limits.excess(constraints) / program.constraint_scale, axis=1, initial=0.0)
+        found = Found(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
+        self.found = Found(*(np.concatenate(both) for both in zip(self.found, found, strict=True)))
         self._progress("search", self.count, self._most)
         return found
 
-    def _values(self, points: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
-        if self._program.values is not None:
-            return self._program.values(points)
-        found = [self._program.evaluate(one) for one in points]
-        return np.array([one.objective for one in found]), np.stack([one.constraints for one in found])
-
     @property
-    def _every(self) -> _Points:
-        self._parts = [_Points(*map(np.concatenate, zip(*self._parts, strict=True)))]
-        return self._parts[0]
-
-    @property
-    def _finite(self) -> _Points:
-        every = self._every
-        return _Points(*(part[np.isfinite(every.objectives)] for part in every))
+    def _finite(self) -> Found:
+        return Found(*(part[np.isfinite(self.found.objectives)] for part in self.found))
 
     def _unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
         every = np.tile(self._fixed, (len(points), 1))

@@ -40,8 +40,7 @@ class Answer(NamedTuple):
     - `multipliers`: None if the solver gives none;
     - `iterations`: its count;
     - `message`: its message;
-    - `unfinished`: why a point that meets the first-order conditions may be no answer, in words; left empty by solvers;
-    - `is_doubtful`: whether no point shows that, so that this one is judged by first-order conditions after all.
+    - `unfinished`: why a point that meets the first-order conditions may be no answer, in words; left empty by solvers.
     """
 
     claim: Status
@@ -50,7 +49,6 @@ class Answer(NamedTuple):
     iterations: int = 0
     message: str = ""
     unfinished: str = ""
-    is_doubtful: bool = False
 
 
 class Verdict(NamedTuple):
@@ -102,7 +100,7 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
         further = descent(scaled, answer.point, kept)
         if further is None:
             return answer, True
-        if further.point is None or not further.holds or moves == _MOST_MOVES:
+        if not further.holds or moves == _MOST_MOVES:
             break
         answer, moves = answer._replace(point=further.point), moves + 1
     said = (
@@ -111,7 +109,7 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     )
     # The next round needs a scale in which this slope is not small.
     scales = scaled.scales._replace(objective=scaled.scales.objective * further.slope)
-    return _rescaled(scaled, answer._replace(unfinished=said, is_doubtful=further.is_doubtful), scales), False
+    return _rescaled(scaled, answer._replace(unfinished=said), scales), False
 
 
 def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
@@ -154,7 +152,7 @@ def _status(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> Status
     answer, certificate = verdict.answer, verdict.certificate
     if not has_run_away(scaled, answer.point, LOST):
         if certificate.within(_held(tolerance), tolerance):
-            return Status.FAILED if answer.unfinished and not answer.is_doubtful else Status.SOLVED
+            return Status.FAILED if answer.unfinished else Status.SOLVED
         infeasible = certificate.violation > _held(tolerance)
         if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
             return Status.INFEASIBLE
