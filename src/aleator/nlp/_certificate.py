@@ -142,46 +142,35 @@ def kinks_at(scaled: ScaledProgram, z: np.ndarray) -> Kinks | None:
 
 
 def is_least_violated(scaled: ScaledProgram, z: np.ndarray) -> bool:
-    """Whether no step lowers the violation by a noticeable part: its sum over the rows, or its maximum.
+    """Whether no step lowers the sum of the violations by a noticeable part.
 
-    Either proves that the linearised constraints have no solution near `z`: a step that meets them all would lower both
-    measures. Both are linear programs in the step and the violations left, or the largest one.
+    That proves that the linearised constraints have no solution near `z`, to which a step would lower the sum. It is a
+    linear program in the step and the violations left.
     """
     evaluation = scaled.evaluate(z)
     rows, signs, gaps = scaled.limits.within(evaluation.constraints)
-    if gaps.min(initial=0.0) >= 0:
+    violation = -float(gaps[gaps < 0].sum())
+    slopes = scipy.sparse.csr_array(weighted_rows(signs, evaluation.jacobian[rows])) / (violation or 1.0)
+    # Near an unstable simulation slopes are too steep for this, which proves nothing.
+    if violation == 0 or not np.isfinite(slopes.data).all():
         return False
-    slopes = scipy.sparse.csr_array(weighted_rows(signs, evaluation.jacobian[rows]))
-    each, largest = scipy.sparse.eye_array(rows.size), scipy.sparse.csr_array(np.ones((rows.size, 1)))
-    return any(_is_stationary(scaled, z, slopes, gaps, left) for left in (largest, each))
-
-
-def _is_stationary(scaled: ScaledProgram, z: np.ndarray, slopes: Matrix, gaps: np.ndarray, left: Matrix) -> bool:
-    """Whether no step lowers the sum of the violations, or the largest one.
-
-    `left`: the violations that a step may leave, each row's own or one for all, shape (rows, rows) or (rows, 1).
-    """
-    total = np.max if left.shape[1] == 1 else np.sum
-    violation = float(total(np.maximum(-gaps, 0.0)))
-    cost = np.append(np.zeros(z.size), np.ones(left.shape[1]))
-    matrix = scipy.sparse.hstack([slopes / violation, -left], format="csr")
+    matrix = scipy.sparse.hstack([slopes, -scipy.sparse.eye_array(rows.size)], format="csr")
+    cost = np.append(np.zeros(z.size), np.ones(rows.size))
 
     def best_step(reach: float) -> tuple[np.ndarray, float]:
         """The step within some magnitudes of all variables and the part by which it should lower the violation."""
         step = np.stack([np.clip(scaled.lower - z, -reach, 0.0), np.clip(scaled.upper - z, 0.0, reach)], axis=1)
-        bounds = np.concatenate([step, np.tile([0.0, np.inf], (left.shape[1], 1))])
         found = scipy.optimize.linprog(
             cost,
             matrix,
             gaps / violation,
-            bounds=bounds,
-            method="highs-ipm" if matrix.shape[0] > _MANY else "highs-ds",
+            bounds=np.concatenate([step, np.tile([0.0, np.inf], (rows.size, 1))]),
+            method="highs-ipm" if rows.size > _MANY else "highs-ds",
             options={"maxiter": _MOST_PIVOTS},
         )
         return (found.x[: z.size], 1.0 - found.fun) if found.status == 0 else (np.zeros(z.size), np.nan)
 
-    # Near an unstable simulation slopes are too steep for this, which proves nothing.
-    if not np.isfinite(matrix.data).all() or not best_step(1.0)[1] < _STATIONARY:
+    if not best_step(1.0)[1] < _STATIONARY:
         return False
     # Where a variable without a bound must go far, as a level above all rows, one typical magnitude of it is nothing.
     step, promised = best_step(_FARTHEST)
@@ -190,6 +179,6 @@ def _is_stationary(scaled: ScaledProgram, z: np.ndarray, slopes: Matrix, gaps: n
     for share in _SHARES:
         with contextlib.suppress(NotFiniteError):
             beyond = scaled.limits.excess(scaled.evaluate(z + share * step).constraints)
-            if 1.0 - float(total(np.maximum(beyond, 0.0))) / violation >= share * promised / 2:
+            if 1.0 - float(np.maximum(beyond, 0.0).sum()) / violation >= share * promised / 2:
                 return False
     return True

@@ -158,11 +158,8 @@ class Ipopt(AbstractLocalSolver):
         _load()
         options = self._options(scaled, warm=multipliers is not None) | derivatives
         solver = casadi.nlpsol("ipopt", "ipopt", program, options)
-        # Equalities that outnumber the variables, which IPOPT would refuse, are relaxed within the tolerance.
-        equal = scaled.constraint_lower == scaled.constraint_upper
-        slack = np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
         arguments = {"x0": scaled.start, "lbx": scaled.lower, "ubx": scaled.upper}
-        arguments |= {"lbg": scaled.constraint_lower - slack, "ubg": scaled.constraint_upper + slack}
+        arguments |= dict(zip(("lbg", "ubg"), scaled.relaxed(self.aim), strict=True))
         if multipliers is not None:
             # Those of the bounds make the Lagrangian stationary at the start.
             start = scaled.evaluate(scaled.start)

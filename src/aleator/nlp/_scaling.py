@@ -142,6 +142,12 @@ class ScaledProgram:
         """The scaled bounds of the useful rows."""
         return Sides(self.constraint_lower, self.constraint_upper)
 
+    def relaxed(self, by: float) -> Sides:
+        """The same, equalities relaxed if they outnumber the variables, which some libraries refuse."""
+        lower, upper = self.limits
+        slack = np.where((lower == upper) & (np.sum(lower == upper) > self.size), by, 0.0)
+        return Sides(lower - slack, upper + slack)
+
     @property
     def sides(self) -> Sides:
         """The scaled bounds of the useful rows, then those of the free variables."""

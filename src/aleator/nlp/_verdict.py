@@ -80,8 +80,8 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     moves = 0
     while True:
         user = scaled.user(answer.point)
-        # Infeasibility is proven in the scales in which the solver ran: the weights of the violations in the sum or
-        # maximum that no step lowers do not matter.
+        # Infeasibility is proven in the scales in which the solver ran: the weights of the violations in the sum that
+        # no step lowers do not matter.
         is_outside = np.any(scaled.outside(user) > _held(tolerance) * scaled.sizes_at(answer.point, user))
         if is_outside and _is_least_violated(scaled, answer):
             answer = answer._replace(claim=Status.INFEASIBLE)
