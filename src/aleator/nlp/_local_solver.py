@@ -9,12 +9,11 @@ import numpy as np
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.errors import ProblemError
 from aleator.nlp._certificate import kinks_at
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
+from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status
 from aleator.nlp._verdict import Answer, Verdict, has_run_away, judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
@@ -63,10 +62,7 @@ class AbstractLocalSolver(AbstractSolver):
     ) -> Outcome:
         began = time.perf_counter()
         self.require()
-        start = program.start if start is None else checked("start", start, program.start.shape)
-        if multipliers is not None:
-            multipliers = checked("multipliers", multipliers, program.constraint_lower.shape)
-        scaled = ScaledProgram(program, start)
+        scaled = ScaledProgram(program, program.start if start is None else start)
         with scaled.evaluations.noting_interrupts():
             verdict = self._judged(scaled, multipliers)
             if verdict.answer.claim is Status.FAILED:
@@ -132,28 +128,19 @@ class AbstractLocalSolver(AbstractSolver):
         Derivatives there say nothing of those beside it, and the library makes no more progress. So the variables at a
         bound stay there, and none moves across a kink of a row.
         """
-        answer, kinks = verdict.answer, kinks_at(scaled, verdict.answer.point)
-        point = scaled.unscaled(answer.point)
-        at_bound = (point == program.lower) | (point == program.upper)
-        if kinks is not None:
-            along = _along(program, kinks.normals, point)
-        elif (at_bound & (program.lower < program.upper)).any() and not at_bound.all():
-            lower, upper = (np.where(at_bound, point, bounds) for bounds in (program.lower, program.upper))
-            along = dataclasses.replace(program, lower=lower, upper=upper)
-        else:
+        answer, point = verdict.answer, scaled.unscaled(verdict.answer.point)
+        if not isinstance(scaled.sparsity, np.ndarray):
             return verdict
-        held = ScaledProgram(along, point)
+        kinks = kinks_at(scaled, answer.point)
+        at_bound = ((point == program.lower) | (point == program.upper)) & (program.lower < program.upper)
+        normals = np.eye(point.size)[at_bound] if kinks is None else kinks.normals
+        if not len(normals):
+            return verdict
+        held = ScaledProgram(_along(program, normals, point), point)
         further = self._judged(held, None).answer
         scaled.evaluations.visited += held.evaluations.visited
-        again = judge(
-            scaled,
-            further._replace(
-                point=ScaledProgram(program, held.unscaled(further.point)).start,
-                multipliers=None,
-                iterations=answer.iterations + further.iterations,
-            ),
-            self.tolerance,
-        )
+        further = further._replace(multipliers=None, iterations=answer.iterations + further.iterations)
+        again = judge(scaled, further, self.tolerance)
         return again if again.answer.claim is Status.SOLVED else verdict
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
@@ -173,9 +160,13 @@ class AbstractLocalSolver(AbstractSolver):
             shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
             share = left - left // _LEFT_OVER if shared else left
             ran_in, pattern = scaled.scales, scaled.sparsity
-            answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
+            try:
+                answer = dataclasses.replace(self, max_iterations=share).minimise(scaled, multipliers)
+            except NotFiniteError:
+                message = "the model cannot be evaluated there"
+                answer = Answer(Status.EVALUATION_FAILED, scaled.start, message=message)
             spent += answer.iterations
-            answer = answer._replace(iterations=spent)
+            answer = answer._replace(point=np.array(answer.point, dtype=float), iterations=spent)
             if scaled.evaluations.halt is not None:
                 return answer
             if not scaled.user(answer.point).is_finite:
@@ -193,20 +184,6 @@ class AbstractLocalSolver(AbstractSolver):
                     return answer
                 tried = True
             multipliers = None if answer.multipliers is None else answer.multipliers.rows
-
-    def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """The library's answer. Raises `ProblemError` if it is no answer to this program."""
-        try:
-            answer = self.minimise(scaled, multipliers)
-        except NotFiniteError:
-            return Answer(Status.EVALUATION_FAILED, scaled.start, message="the model cannot be evaluated there")
-        point = np.array(answer.point, dtype=float)
-        if point.shape != scaled.start.shape:
-            raise ProblemError(
-                f"{type(self).__name__}.minimise: expected a point of shape {scaled.start.shape}, that of "
-                f"`scaled.start`; received shape {point.shape}."
-            )
-        return answer._replace(point=point)
 
 
 def _along(program: NonlinearProgram, normals: np.ndarray, point: np.ndarray) -> NonlinearProgram:

@@ -18,7 +18,7 @@ from aleator._core.parallel import heeding
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
+from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status
 from aleator.nlp._sought import EndedError, Sought
 from aleator.nlp._uno import default_solver
 from aleator.nlp._verdict import HELD, Answer
@@ -132,28 +132,19 @@ class AbstractSearch(AbstractSolver):
     def seek(self, program: NonlinearProgram, start: np.ndarray | None = None) -> tuple[Sought, Searched]:
         """Search alone: the points found, of which none is polished, and the history."""
         self.require()
-        self._check(program)
-        start = program.start if start is None else checked("start", start, program.start.shape)
+        if not isinstance(program.sparsity, np.ndarray | None):
+            raise ProblemError(
+                f"{type(self).__name__} searches without derivatives, and cannot hold equations of motion as limits: "
+                "expected states that are simulated, by transcription=al.Sequential(); received a sparse program."
+            )
+        begun = program.start if start is None else start
         with heeding(alone=True) as heed:
-            sought = Sought(program, start, (self.evaluations, self.seconds), self.progress, heed)
+            sought = Sought(program, begun, (self.evaluations, self.seconds), self.progress, heed)
             if sought.size:
                 self._search(program, sought)
         if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
             raise sought.halt
         return sought, Searched(self.method, *sought.found[1:], sought.end, sought.seconds)
-
-    def _check(self, program: NonlinearProgram) -> None:
-        open_ended = (program.lower < program.upper) & ~np.isfinite(program.upper - program.lower)
-        if not isinstance(program.sparsity, np.ndarray | None):
-            what = (
-                "a program whose states are simulated, by transcription=al.Sequential(), since it cannot hold the "
-                "equations of motion as constraints; received a sparse one"
-            )
-        elif self.needs_bounds and open_ended.any():
-            what = f"finite bounds of every variable; variable {int(np.argmax(open_ended))} has none"
-        else:
-            return
-        raise ProblemError(f"{type(self).__name__} searches without derivatives: expected {what}.")
 
     def _search(self, program: NonlinearProgram, sought: Sought) -> None:
         generator = np.random.default_rng(self.seed)
