@@ -25,8 +25,6 @@ _LEFT_OVER, _WORTH_SHARING = 4, 50
 _AIM = 1e-2
 # No solver gets closer than this.
 _LEAST_AIM = 1e-13
-# Scales that differ by no more than this factor are equally good.
-_SAME_SCALE = 10.0
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,8 @@ class AbstractLocalSolver(AbstractSolver):
     - `max_iterations`: the limit of iterations, restarts included.
 
     If the library ends at a point that is not within the tolerance in scales taken there, or from which the objective
-    still falls noticeably, it is restarted from that point in those scales; more restarts follow only if the scales
-    then differ considerably, or with second derivatives by differences where an approximation got no further.
+    still falls noticeably, it is restarted from that point in those scales; more restarts follow only with second
+    derivatives by differences where an approximation got no further.
     """
 
     max_iterations: int = 500
@@ -159,7 +157,7 @@ class AbstractLocalSolver(AbstractSolver):
             left = self.max_iterations - spent
             shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
             share = left - left // _LEFT_OVER if shared else left
-            ran_in, pattern = scaled.scales, scaled.sparsity
+            pattern = scaled.sparsity
             try:
                 answer = dataclasses.replace(self, max_iterations=share).minimise(scaled, multipliers)
             except NotFiniteError:
@@ -180,7 +178,7 @@ class AbstractLocalSolver(AbstractSolver):
             sharper = (in_vain or tried) and is_near and scaled.take_differences()
             # A pattern that was outgrown says nothing of the scales.
             if not in_vain and scaled.sparsity is pattern:
-                if tried and not sharper and scaled.scales.is_near(ran_in, _SAME_SCALE):
+                if tried and not sharper:
                     return answer
                 tried = True
             multipliers = None if answer.multipliers is None else answer.multipliers.rows

@@ -45,11 +45,6 @@ class Scales(NamedTuple):
         rows = multipliers.rows * ratio * (into.constraints / self.constraints)
         return Multipliers(rows, multipliers.bounds * ratio)
 
-    def is_near(self, other: "Scales", factor: float) -> bool:
-        """Whether no scale differs from the other's by more than a factor."""
-        objective, rows = self.objective / other.objective, self.constraints / other.constraints
-        return bool(1 / factor <= objective <= factor and np.all((rows <= factor) & (rows >= 1 / factor)))
-
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
 # step, in typical magnitudes of the variables.

@@ -19,7 +19,7 @@ from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status
-from aleator.nlp._sought import EndedError, Sought
+from aleator.nlp._sought import NEAR, EndedError, Sought
 from aleator.nlp._uno import default_solver
 from aleator.nlp._verdict import HELD, Answer
 
@@ -153,13 +153,15 @@ class AbstractSearch(AbstractSolver):
             first = self._first(sought, generator)
             for weight in _WEIGHTS:
                 is_last = weight == _WEIGHTS[-1] or not np.isfinite(program.limits).any()
-                sought.begin_round(weight, 1.0 if is_last else 0.5)
+                # Violations are weighed anew, with a share of what is left of the budget.
+                left = self.evaluations - sought.count
+                sought.weight, sought.limit = weight, self.evaluations - (0 if is_last else left // 2)
                 with contextlib.suppress(EndedError):
                     self.explore(sought, first, generator)
-                least, is_near = sought.least()
-                if sought.is_over or is_last or is_near:
+                best = sought.ranked(NEAR)
+                if sought.is_over or is_last or best.violations[0] <= NEAR:
                     break
-                first = least[None]
+                first = best.points[:1]
         except EndedError:
             pass
         except KeyboardInterrupt as interrupt:
@@ -191,12 +193,13 @@ class AbstractSearch(AbstractSolver):
                     break
         except KeyboardInterrupt:
             is_cut = True
-        seen, lowest = sought.best_held(HELD)
+        seen = sought.ranked(HELD)
+        lowest = seen.objectives[0] if seen.violations[0] <= HELD else np.inf
         best = min([one for one in outcomes if one.ok] or outcomes, key=_rank, default=None)
         reached = best.evaluation.objective if best is not None and best.violation <= HELD else np.nan
         if best is None or not reached <= lowest + _LOWER * max(abs(lowest), abs(reached)):
             # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
-            outcomes.append(_AsItIs(self.tolerance).solve(program, start=seen))
+            outcomes.append(_AsItIs(self.tolerance).solve(program, start=sought.unscaled(seen.points[:1])[0]))
             best = min(outcomes, key=_rank)
         best = best.with_effort_of(*(one for one in outcomes if one is not best))
         if is_cut and not best.ok:

@@ -1,6 +1,5 @@
 """The points that a search evaluates: in a box, by one number each, within a budget, the best of them kept."""
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
@@ -17,7 +16,7 @@ _COMPARED, _BEST = 2500, 500
 # A point begins a basin of its own if none within this distance, a part of the box, is better.
 _APART = 0.05
 # A point that violates a constraint by no more than this is near enough for derivatives.
-_NEAR = 1e-2
+NEAR = 1e-2
 # The merit of a point that cannot be evaluated, in spreads of the objective: worse than any other.
 _WALL = 1e6
 # A spread of the objective below this part of it is rounding.
@@ -91,11 +90,6 @@ class Sought:
         """How many points were evaluated."""
         return len(self.found.objectives)
 
-    def begin_round(self, weight: float, share: float) -> None:
-        """Weigh violations anew, with a share of what is left of the budget."""
-        self.weight = weight
-        self.limit = self.count + math.ceil(share * (self._most - self.count))
-
     @property
     def is_spent(self) -> bool:
         """Whether the whole budget is spent."""
@@ -135,38 +129,28 @@ class Sought:
         A point near a better one belongs to the same basin (Rinnooy Kan and Timmer 1987). Points that violate little
         are ranked by their objective, which the penalty of a late round would hide.
         """
-        kept = self._finite
-        near = kept.violations <= max(_NEAR, 2 * np.min(kept.violations, initial=np.inf))
-        ranks = np.lexsort((np.where(near, kept.objectives, kept.violations), ~near))
-        every = 1 + len(ranks[_BEST:]) // _COMPARED
-        ranked = kept.points[np.append(ranks[:_BEST], ranks[_BEST::every])]
+        least = np.min(self.found.violations, initial=np.inf, where=np.isfinite(self.found.objectives))
+        points = self.ranked(max(NEAR, 2 * least)).points
+        ranked = np.concatenate([points[:_BEST], points[_BEST :: 1 + max(len(points) - _BEST, 0) // _COMPARED]])
         chosen: list[Float[np.ndarray, " size"]] = []
         for rank, point in enumerate(ranked):
             if len(chosen) == most:
                 break
             if not (np.abs(ranked[:rank] - point).max(axis=1, initial=0.0) < _APART).any():
                 chosen.append(point)
-        return [self._unscaled(one[None])[0] for one in chosen or [self.start]]
+        return [self.unscaled(one[None])[0] for one in chosen]
 
-    def least(self) -> tuple[Float[np.ndarray, " size"], bool]:
-        """The point of least merit, and whether it is almost feasible; the start if no point could be evaluated."""
-        kept = self._finite
-        if not len(kept.points):
-            return self.start, False
-        least = np.argmin(self._merits(kept))
-        return kept.points[least], bool(kept.violations[least] <= _NEAR)
-
-    def best_held(self, violation: float) -> tuple[Float[np.ndarray, " n"], float]:
-        """The point of least objective that violates nothing by more, in the user's units, and its objective.
-
-        The first of the candidates, and infinity, if there is none.
+    def ranked(self, violation: float) -> Found:
+        """The points that could be evaluated: those that violate nothing by more, by objective, then others, by
+        violation; the start, if there is none.
         """
-        kept = self._finite
-        held = np.flatnonzero(kept.violations <= violation)
-        if not held.size:
-            return self.candidates(1)[0], np.inf
-        least = held[np.argmin(kept.objectives[held])]
-        return self._unscaled(kept.points[[least]])[0], float(kept.objectives[least])
+        known = np.isfinite(self.found.objectives)
+        if not known.any():
+            return Found(self.start[None], np.array([np.inf]), np.array([np.inf]))
+        _, objectives, violations = self.found
+        outside = violations > violation
+        order = np.lexsort((np.where(outside, violations, objectives), outside, ~known))[: known.sum()]
+        return Found(*(part[order] for part in self.found))
 
     def _merits(self, found: Found) -> Float[np.ndarray, " k"]:
         known = np.isfinite(found.objectives)
@@ -175,7 +159,7 @@ class Sought:
         return np.where(known, np.minimum(merits, _WALL), _WALL)
 
     def _evaluated(self, points: Float[np.ndarray, "k size"]) -> Found:
-        program, places = self._program, self._unscaled(points)
+        program, places = self._program, self.unscaled(points)
         try:
             self._heed()
             if program.values is not None:
@@ -194,11 +178,8 @@ class Sought:
         self._progress("search", self.count, self._most)
         return found
 
-    @property
-    def _finite(self) -> Found:
-        return Found(*(part[np.isfinite(self.found.objectives)] for part in self.found))
-
-    def _unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
+    def unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
+        """Points in the user's units."""
         every = np.tile(self._fixed, (len(points), 1))
         every[:, self._free] = self._origin + points * self._length
         return np.clip(every, self._program.lower, self._program.upper)
