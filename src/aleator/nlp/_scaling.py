@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from aleator.nlp._evaluations import Evaluations, NotFiniteError
-from aleator.nlp._matrices import Block, Matrix, SparseMatrix, checked_sparse
+from aleator.nlp._matrices import Block, Matrix, SparseMatrix, checked_sparse, entries
 from aleator.nlp._program import Evaluation, NonlinearProgram, Sides
 
 
@@ -226,7 +226,7 @@ class ScaledProgram:
         rows[self.useful] = multipliers / self.scales.constraints
         given = self.unscaled(z), weight / self.scales.objective, rows
         whole = checked_sparse("Hessian", self.evaluations.asked(lambda: hessian.evaluate(*given)), hessian.sparsity)
-        numbers = self._hessian_block.of(whole, self._hessian_factor).data
+        numbers = entries(self._hessian_block.of(whole, self._hessian_factor))
         if not np.isfinite(numbers).all():
             raise NotFiniteError
         return numbers

@@ -107,7 +107,8 @@ def slopes_at(program: NonlinearProgram, point: Float[np.ndarray, " n"]) -> Slop
         is_kink = broken[2, :, i] & (away < _SAME_BEYOND * np.abs(exact[:, i] - slopes))
         broken[0, is_kink, i], broken[2, is_kink, i] = True, False
     effects = np.fmax(np.nan_to_num(np.abs(exact)), np.nan_to_num(np.fmax(*np.abs(far))))
-    return Slopes(found, *seen[-1], effects, *broken, endless)
+    (left, right), (kinks, jumps, wrong) = seen[-1], broken
+    return Slopes(found, left, right, effects, kinks, jumps, wrong, endless)
 
 
 def _values(there: Evaluation) -> Float[np.ndarray, " rows"]:
