@@ -93,8 +93,10 @@ class ScaledProgram:
         self._last: tuple[bytes, Evaluation] | None = None
         self.evaluations = Evaluations(program)
         self.size, self.rows = int(self._free.sum()), int(self.useful.sum())
-        every = np.ones((self.useful.size, self._free.size), dtype=bool)
-        self._block = Block(every if program.sparsity is None else program.sparsity, self.useful, self._free)
+        sparsity = program.sparsity
+        if sparsity is None:
+            sparsity = np.ones((self.useful.size, self._free.size), dtype=bool)
+        self._block = Block(sparsity, self.useful, self._free)
         self.sparsity: Matrix = self._block.sparsity
         self.curved: SparseMatrix | None = None
         if program.hessian is not None:
