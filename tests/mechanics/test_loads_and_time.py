@@ -30,6 +30,29 @@ def test_a_table_in_a_model_is_a_force_over_time_also_where_it_is_uncertain():
     np.testing.assert_allclose(torque.std, 0.1 * (1.0 - t), atol=1e-12)
 
 
+class Drone(al.Multibody):
+    """A body that moves freely, pushed by a wind that is given or, for `None`, the sine of the time."""
+
+    wind: al.Number = None
+    gravity = (0.0, 0.0, 0.0)
+
+    def bodies(self):
+        return (al.Body("b", joint=al.joints.Free(), mass=2.0, inertia=(1.0, 2.0, 2.5)),)
+
+    def body_loads(self, q, v, t):
+        along = jnp.sin(t) if self.wind is None else self.wind
+        return (al.BodyLoad("b", force=along * jnp.array([1.0, 0.0, 0.0])),)
+
+
+TABLE = al.Tabulated([0.0, 1.0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(("wind", "place"), [(None, (1 - np.sin(1.0)) / 2), (TABLE, 1 / 12)])
+def test_loads_on_a_free_body_may_follow_the_time_or_a_table(wind, place):
+    found = simulate(al.ForwardDynamics(Drone(wind=wind)), al.Grid(1.0, 20))
+    assert found["b_x"][-1] == pytest.approx(place, rel=1e-7)
+
+
 class Leaking(al.Multibody):
     """Sand runs out of a cart that nothing pushes."""
 

@@ -2,6 +2,7 @@
 
 import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -98,3 +99,24 @@ def test_slopes_around_a_circle_that_lines_touch_are_those_of_the_closed_form(ch
     known = sloped(Probability(above=threshold), coefficients[:, None], lines_through(basis))
     assert known.slopes[0, 0] == pytest.approx(chance / 2, rel=1e-2)
     assert known.slopes[:, 0] @ coefficients == pytest.approx(threshold * chance / 2, rel=1e-2)
+
+
+def test_densities_and_traced_derivatives_are_those_of_the_closed_forms():
+    """Of the product of two numbers that are uniform from 1 to 2, and of the square of a distance in the plane."""
+    sides = {name: al.Uniform.bounds(1.0, 2.0) for name in ("a", "b")}
+    area = al.expand(lambda at: at["a"] * at["b"], sides, al.Expansion(order=2))
+    values = np.array([1.2, 1.7, 2.3, 3.6])
+    exact = np.where(values < 2, np.log(values), np.log(4 / values))
+    assert np.asarray(area.pdf(jnp.array(values))) == pytest.approx(exact, rel=1e-5)
+
+    plane = {name: al.Normal(0.0, 1.0) for name in ("a", "b")}
+
+    def tail(scale, value, level):
+        square = al.expand(lambda at: scale * (at["a"] ** 2 + at["b"] ** 2), plane, al.Expansion(order=2))
+        return square.probability(above=value), square.conditional_value_at_risk(level)
+
+    chance, beyond = jax.jit(jax.jacfwd(tail, argnums=(0, 1, 2)))(1.0, 4.0, 0.9)
+    # P[y > v] = exp(-v / (2 s)); the mean above the quantile at l is 2 s (1 - log(1 - l)).
+    exact = np.exp(-2.0)
+    assert np.asarray(chance) == pytest.approx([2 * exact, -exact / 2, 0.0], rel=1e-2)
+    assert np.asarray(beyond) == pytest.approx([2 * (1 + np.log(10)), 0.0, 20.0], rel=1e-2)

@@ -52,9 +52,7 @@ def test_bounds_of_two_variables_enclose_what_is_sampled_and_are_exact_at_a_corn
 def test_an_unbounded_support_is_refused_with_a_remedy():
     basis = basis_of([LegendreGerm(), HermiteGerm(), LaguerreGerm(2.0)], 2)
     for statistic in (Supremum(), Infimum()):
-        with pytest.raises(
-            ProblemError, match=r"'b', 'c' can take values without bound.*bounded distributions.*quantile"
-        ):
+        with pytest.raises(ProblemError, match=r"'b', 'c' have no bounds.*bounded, independent ones.*quantile"):
             prepare([statistic], basis)
 
 

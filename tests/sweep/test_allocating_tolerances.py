@@ -70,6 +70,18 @@ def test_correlations_other_distributions_and_decided_numbers_of_a_stack_count()
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("costs", [{"b": (1.0, 0.04)}, {"a": (1.0, 0.04), "b": (1.0, 0.04)}])
+def test_a_nominal_value_may_be_decided_with_the_tolerances(costs):
+    """The gap of two parts is centred between its limits, 0.2 on either side."""
+    parts = {"a": al.Toleranced(al.Decision(10.0, 9.5, 10.5), tolerance=0.1), "b": al.Toleranced(10.2, tolerance=0.1)}
+    found = al.allocate(al.Assembly(parts, features={"gap": "b - a"}), costs, "gap", lower=0.05, upper=0.45)
+    other = 0.1 if len(costs) == 1 else 0.2 / np.sqrt(2)
+    for tolerances, width in ((found.statistical, np.sqrt(0.2**2 - other**2)), (found.worst_case, 0.1)):
+        assert tolerances.decisions["a.nominal"] == pytest.approx(9.95, abs=1e-6)
+        assert tolerances.zones["b"] == pytest.approx((width, width), rel=1e-5)
+
+
+@pytest.mark.slow
 def test_one_sided_zones_grow_from_their_nominal_side_and_others_about_their_middle():
     one_sided = stack(plate=al.toleranced("13.0 +0.1/-0", cp=1.33), shim=al.toleranced("0.6 -0.01/-0.05"))
     found = al.allocate(one_sided, COSTS | {"housing": (1.0, 0.1)}, "gap", lower=-1.0, upper=0.6).worst_case
@@ -98,6 +110,7 @@ def test_what_no_tolerances_can_keep_is_said_and_the_rest_is_given():
         ({"lower": 1.0, "upper": 0.5}, r"expected limits lower < upper.*received 1.0 and 0.5"),
         ({"upper": np.inf, "lower": -np.inf}, "one of them finite"),
         ({"stack": stack(shim=al.Normal(0.6, 0.01))}, r"'shim': expected an al.Toleranced dimension"),
+        ({"stack": stack(more=al.Normal(al.Decision(1.0), 0.1))}, r"'more': expected an al.Toleranced dimension where"),
     ],
 )
 def test_is_refused(options, words):

@@ -110,6 +110,9 @@ def test_a_search_that_comes_to_no_end_is_said_so(monkeypatch):
 def test_values_without_bound_have_no_worst_case_and_what_is_certain_is_its_own():
     with pytest.raises(al.ProblemError, match=r"worst_case of 'y': 'a' can take values without bound.*probability"):
         al.solve(largest_gain("a line", a=al.Normal(0.0, 1.0)))
+    both = al.correlated({name: al.Uniform.bounds(-1.0, 1.0) for name in ("a", "b")}, {("a", "b"): 0.5})
+    with pytest.raises(al.ProblemError, match=r"worst_case of 'y': 'a', 'b' are correlated.*without correlations"):
+        al.solve(largest_gain("a line", **both))
     solution = al.solve(largest_gain("a line", a=1.0, b=0.0))
     assert solution.decisions["gain"] == pytest.approx(1 / 3, rel=1e-7)
     assert solution.certificate.worst_case is None

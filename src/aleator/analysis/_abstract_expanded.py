@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.border import real
-from aleator._core.compilation import Use, evaluate, evaluate_traced
+from aleator._core.compilation import Use, evaluate_traced
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.identity import traced_once
 from aleator._core.leaves import Drawn, Module, is_traced
@@ -149,8 +149,8 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
         return self._at_each(pdf, values)
 
     def _at_each(self, function: Callable[..., Array], values: Float[Array, " n"]) -> Pytree:
-        lines, values = prepared(lines_through, self.basis), jax_array(values)
-        return jax.tree.map(lambda terms: evaluate(function, values, terms, lines, use=_use(terms)), self.coefficients)
+        lines = prepared(lines_through, self.basis)
+        return jax.tree.map(lambda terms: function(values, terms, lines), self.coefficients)
 
     def covariance(self, first: str, second: str) -> Array:
         """The covariance of two outputs of equal shape, entry by entry."""
@@ -165,9 +165,11 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
         """Two outputs as one, along a new last axis."""
 
 
-def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> tuple[Array, Array | None]:
+def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> tuple[Any, Any]:
     """A statistic, and the error of its integral where it is one of a tail."""
-    return kind.estimated(terms, constants) if isinstance(kind, AbstractTail) else (kind.of(terms, constants), None)
+    if isinstance(kind, AbstractTail) and not is_traced((kind, terms, constants)):
+        return kind.estimated(np.asarray(terms), constants)
+    return kind.of(terms, constants), None
 
 
 def _warn_of_integral(kind: AbstractStatistic, value: np.ndarray, error: np.ndarray, std: np.ndarray) -> None:

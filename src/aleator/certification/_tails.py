@@ -196,7 +196,7 @@ def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple
         if is_clear or is_harmless or len(values) >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
-            value, half = tail.kind.estimated(jax_array(coefficients), lines)
+            value, half = tail.kind.estimated(np.asarray(coefficients), lines)
             whole = error + float(value) - tail.value
             return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, len(values)
         least = max(4 * len(values), _FIRST)

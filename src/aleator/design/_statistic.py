@@ -162,7 +162,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`). For a path this holds
           at each instant separately, so that different systems may exceed it at different instants; for whole systems,
           limit its `peak`, or use `calibrate`;
-        - `worst_case`: at most `upper` on the worst realisation that `solve` finds, for bounded distributions;
+        - `worst_case`: at most `upper` on the worst realisation that `solve` finds, of bounded, independent numbers;
         - `at_points`: at most `upper` on each realisation at the collocation points, `max_k[...]`, for unbounded
           distributions too. It says nothing of the systems in between, and hardens with the number of points.
 
@@ -182,7 +182,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         """The limit `mean - sigmas * std >= lower`, or one of three that do not assume a normal distribution.
 
         - `probability`: at least `lower` with this probability (`quantile(1 - probability) >= lower`);
-        - `worst_case`: at least `lower` on the worst realisation that `solve` finds, for bounded distributions;
+        - `worst_case`: at least `lower` on the worst realisation that `solve` finds, of bounded, independent numbers;
         - `at_points`: at least `lower` on each realisation at the collocation points: see `at_most`.
 
         Raises `ProblemError` if more than one of the four is given.

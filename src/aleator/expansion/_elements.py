@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.arrays import Pytree, alike, in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion._basis import AbstractBasis
@@ -137,13 +137,16 @@ class Division(Module):
 
     def elements(self, whole: Float[Any, "all_terms *shape"]) -> Float[Any, "elements terms *shape"]:
         """The coefficients in each element, in polynomials that are orthonormal there."""
-        _, whole = in_library(whole)
+        _, known = in_library(whole)
         count = len(self.roots)
-        return self._turned(whole.reshape(count, len(whole) // count, *whole.shape[1:]), first=True)
+        parts = self._turned(known.reshape(count, len(known) // count, *known.shape[1:]), first=True)
+        return alike(parts, whole)
 
     def whole(self, elements: Float[Any, "elements terms *shape"]) -> Float[Any, "all_terms *shape"]:
         """The reverse."""
-        return self._turned(elements, first=False)
+        parts = self._turned(elements, first=False)
+        # Not by -1: there may be nothing in each.
+        return alike(parts.reshape(parts.shape[0] * parts.shape[1], *parts.shape[2:]), elements)
 
     def _turned(self, parts: Any, *, first: bool) -> Any:
         library, parts, mirror, roots = in_library(parts, self.mirror, self.roots)
@@ -151,9 +154,7 @@ class Division(Module):
         parts = parts if first else parts * factors
         constants = library.tensordot(mirror, parts[:, :1], axes=1)
         parts = library.concatenate([constants, parts[:, 1:]], axis=1)
-        # Not by -1: there may be nothing in each.
-        whole = parts.shape[0] * parts.shape[1], *parts.shape[2:]
-        return jax_array(parts / factors if first else parts.reshape(whole))
+        return parts / factors if first else parts
 
 
 @final

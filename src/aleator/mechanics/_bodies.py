@@ -315,7 +315,7 @@ def _as_number(leaf: Any) -> Any:
     """A placeholder number of the right shape for a distribution, a decision or a signal."""
     if isinstance(leaf, AbstractSignal):
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
-        return np.ones(jax.eval_shape(plain, jax.ShapeDtypeStruct((), float)).shape)
+        return np.ones(jax.eval_shape(lambda t: plain(t), jax.ShapeDtypeStruct((), float)).shape)
     return np.ones(leaf.shape) if is_leaf(leaf) else leaf
 
 

@@ -3,6 +3,7 @@
 import abc
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
+from itertools import accumulate
 from typing import Any, Self, TypeVar
 
 import jax
@@ -194,8 +195,10 @@ class Multibody(AbstractMechanical):
 
     def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
-        simple = all(joint.coordinates == ("",) for _, joint in self._joints())
-        return q if simple else unit_coordinates(self._tree(), q)
+        counts = [len(joint.coordinates) for _, joint in self._joints()]
+        # A quaternion is the last four of a joint's coordinates.
+        ends = [end for count, end in zip(counts, accumulate(counts), strict=True) if count > 1]
+        return unit_coordinates([place for end in ends for place in range(end - 4, end)], q) if ends else q
 
     @property
     @override

@@ -365,9 +365,8 @@ def velocity_map(tree: Tree, q: Float[Numbers, " coordinates"]) -> Float[Array, 
     return jax_array(known + library(blocks).tensordot(blocks, places, 3))
 
 
-def unit_coordinates(tree: Tree, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
-    """Coordinates with quaternions normalised; a zero quaternion becomes the identity."""
-    turning = tree.coordinates(tree.rows(Ball))
+def unit_coordinates(turning: Sequence[int], q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
+    """Coordinates with quaternions normalised, whose places are given; a zero quaternion becomes the identity."""
     others = [place for place in range(len(q)) if place not in turning]
     units = unit_quaternions(columns(q, turning).reshape(-1, 4).T).T.reshape(-1)
     return scattered([(others, columns(q, others)), (turning, units)])

@@ -4,7 +4,6 @@ from aleator.statistics._extremes import Infimum as Infimum
 from aleator.statistics._extremes import Supremum as Supremum
 from aleator.statistics._lines import lines_through as lines_through
 from aleator.statistics._measured import AbstractMeasured as AbstractMeasured
-from aleator.statistics._output_distribution import prepare_sloped as prepare_sloped
 from aleator.statistics._output_distribution import sloped as sloped
 from aleator.statistics._proposals import Proposal as Proposal
 from aleator.statistics._proposals import levels_of as levels_of
@@ -32,7 +31,6 @@ from aleator.statistics._tails import Probability as Probability
 from aleator.statistics._tails import Quantile as Quantile
 from aleator.statistics._tails import cdf as cdf
 from aleator.statistics._tails import pdf as pdf
-from aleator.statistics._tails import together as together
 from aleator.statistics._units import EXPONENTS as EXPONENTS
 from aleator.statistics._units import PURE as PURE
 from aleator.statistics._units import common as common

@@ -1,14 +1,13 @@
-"""Cubics in the cells of lines, and the normal variable along them, by NumPy or JAX: see `in_library`."""
+"""Cubics in the cells of lines, and the normal variable along them, by NumPy."""
 
 import math
 from typing import Any
 
-import jax
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from aleator._core.arrays import in_library, quietly
+from aleator._core.arrays import quietly
 from aleator.uncertainty import AbstractGerm
 
 END = 7.0
@@ -22,100 +21,90 @@ _OFF = 1e-3
 _SWINGING = 24
 
 # Gauss's rule from 0 to 1.
-NODES, WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
-NODES = NODES + 0.5
+_NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
+_NODES = _NODES + 0.5
 
 # Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
 # this, after which the error of a simple root, which a step squares, is rounding.
-MOST_ITERATIONS, AT_REST = 30, 1e-9
+_MOST_ITERATIONS, _AT_REST = 30, 1e-9
 # At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
 # part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
 _AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 
 
-def cubics_through(values: Float[Any, "lines nodes"]) -> Float[Any, "4 lines cells"]:
+def cubics_through(values: Float[np.ndarray, "lines nodes"]) -> Float[np.ndarray, "4 lines cells"]:
     """Hermite's cubics between nodes, with slopes by differences of fourth order; constant term first."""
-    library, values = in_library(values)
     slopes = (8 * (values[:, 3:-1] - values[:, 1:-3]) - (values[:, 4:] - values[:, :-4])) / 12
     values = values[:, 2:-2]
-    first, last, rise = slopes[:, :-1], slopes[:, 1:], library.diff(values, axis=1)
-    return library.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
+    first, last, rise = slopes[:, :-1], slopes[:, 1:], np.diff(values, axis=1)
+    return np.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
 
 
-def horner(powers: Float[Any, "orders *lines"], x: Float[Any, "points *lines"]) -> Float[Any, "points *lines"]:
+def horner(
+    powers: Float[np.ndarray, "orders *lines"], x: Float[np.ndarray, "points *lines"]
+) -> Float[np.ndarray, "points *lines"]:
     """The values of polynomials, each at its own points."""
-    library, powers, x = in_library(powers, x)
-    value = library.broadcast_to(powers[-1][None], x.shape)
+    value = np.broadcast_to(powers[-1][None], x.shape)
     for coefficient in powers[-2::-1]:
         value = value * x + coefficient[None]
     return value
 
 
-def with_slope(powers: Float[Any, "orders *lines"], x: Float[Any, "points *lines"]) -> tuple[Any, Any]:
+def with_slope(powers: Float[np.ndarray, "orders *lines"], x: Float[np.ndarray, "points *lines"]) -> tuple[Any, Any]:
     """The values and first derivatives of polynomials, each at its own points."""
-    library, powers, x = in_library(powers, x)
-    value, slope = library.broadcast_to(powers[-1][None], x.shape), library.zeros(x.shape)
+    value, slope = np.broadcast_to(powers[-1][None], x.shape), np.zeros(x.shape)
     for coefficient in powers[-2::-1]:
         slope = slope * x + value
         value = value * x + coefficient[None]
     return value, slope
 
 
-def closer_to_root(powers: Any, low: Any, high: Any, rising: Any, x: Any) -> tuple[Any, Any, Any]:
-    """A step of `root_within`: the bracket, and the next place."""
-    library, powers, low, high, rising, x = in_library(powers, low, high, rising, x)
-    value, slope = with_slope(powers, x)
-    below = (value < 0) == rising
-    low, high = library.where(below, x, low), library.where(below, high, x)
-    newton = x - value / library.where(slope == 0, 1.0, slope)
-    edge = _AT_THE_EDGE * (high - low) + _ROUNDING
-    usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
-    return low, high, library.where(usable, library.clip(newton, low, high), (low + high) / 2)
-
-
-def known_root_within(
+def root_within(
     powers: Float[np.ndarray, "4 n"],
     low: Float[np.ndarray, " n"],
     high: Float[np.ndarray, " n"],
     rising: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """As `root_within` of `_lower_tails`, by NumPy."""
-    low, high, rising = low[None], high[None], rising[None]
+    """The root of each polynomial between two places, from one to the other of which its sign changes."""
     x = (low + high) / 2
-    for _ in range(MOST_ITERATIONS):
-        low, high, closer = closer_to_root(powers, low, high, rising, x)
+    for _ in range(_MOST_ITERATIONS):
+        value, slope = (one[0] for one in with_slope(powers, x[None]))
+        below = (value < 0) == rising
+        low, high = np.where(below, x, low), np.where(below, high, x)
+        newton = x - value / np.where(slope == 0, 1.0, slope)
+        edge = _AT_THE_EDGE * (high - low) + _ROUNDING
+        usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
+        closer = np.where(usable, np.clip(newton, low, high), (low + high) / 2)
         moved, x = np.abs(closer - x).max(initial=0.0), closer
-        if not moved > AT_REST:
+        if not moved > _AT_REST:
             break
-    return x[0]
+    return x
 
 
 @quietly
-def extremum_within(slope: Float[Any, "*n"], bend: Float[Any, "*n"], rest: Float[Any, "*n"]) -> Float[Any, "*n"]:
+def extremum_within(
+    slope: Float[np.ndarray, "*n"], bend: Float[np.ndarray, "*n"], rest: Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
     """Where a cubic whose slopes at 0 and 1 have different signs has its extremum, by its higher powers."""
-    library, slope, bend, rest = in_library(slope, bend, rest)
-    radicand = library.sqrt(library.maximum(bend**2 - 3 * rest * slope, 0.0))
-    larger = -(bend + library.where(bend < 0, -1.0, 1.0) * radicand)
+    radicand = np.sqrt(np.maximum(bend**2 - 3 * rest * slope, 0.0))
+    larger = -(bend + np.where(bend < 0, -1.0, 1.0) * radicand)
     near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
-    return library.clip(library.where((near > 0) & (near < 1), near, far), 0.0, 1.0)
+    return np.clip(np.where((near > 0) & (near < 1), near, far), 0.0, 1.0)
 
 
 def _ratio(above: Any, below: Any) -> Any:
-    library, above, below = in_library(above, below)
-    return library.where(below == 0, 2.0, above / library.where(below == 0, 1.0, below))
+    return np.where(below == 0, 2.0, above / np.where(below == 0, 1.0, below))
 
 
 def density_of(at: Any) -> Any:
     """The density of a standard normal variable."""
-    library, at = in_library(at)
-    return library.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
+    return np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
 
 
 def beyond(at: Any) -> Any:
     """The probability of a normal variable beyond a number, where lines have their small values, as far as lines go."""
-    outside, (library, at) = math.erfc(END / math.sqrt(2)) / 2, in_library(at)
-    erfc = scipy.special.erfc if library is np else jax.lax.erfc
-    return (erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
+    outside = math.erfc(END / math.sqrt(2)) / 2
+    return (scipy.special.erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
 
 
 def integrals_of_powers(
@@ -126,7 +115,7 @@ def integrals_of_powers(
 ) -> Float[np.ndarray, "4 *parts"]:
     """The integrals of the powers of the place over parts of cells, by Gauss's rule; the first is the probability."""
     total = np.zeros((4, *start.shape))
-    for node, weight in zip(NODES, WEIGHTS, strict=True):
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         place = start + node * length
         density = weight * length * step * density_of(first + place * step)
         total += density * place ** np.arange(4).reshape(-1, *[1] * place.ndim)

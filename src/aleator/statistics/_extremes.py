@@ -73,9 +73,9 @@ def enclosure(basis: AbstractBasis) -> Form:
     unbounded = [name for name, germ in basis.germs.items() if not np.all(np.isfinite(germ.support()))]
     if unbounded:
         raise ProblemError(
-            f"Supremum and infimum: {', '.join(map(repr, unbounded))} can take values without bound, and so can the "
-            "output; use bounded distributions such as Uniform or Beta, or a quantile (for instance .quantile(0.999)) "
-            "instead."
+            f"Supremum and infimum: the germ variables {', '.join(map(repr, unbounded))} have no bounds, as those of "
+            "unbounded and of correlated distributions; use bounded, independent ones such as Uniform or Beta, or a "
+            "quantile (for instance .quantile(0.999)) instead."
         )
     if isinstance(basis, PiecewiseBasis):
         return in_each(enclosure, basis)

@@ -17,17 +17,15 @@ from dataclasses import replace
 from typing import Any, TypeAlias, final
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Float, Int
 
-from aleator._core.arrays import in_library, jax_array
+from aleator._core.arrays import alike, in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
-from aleator.statistics._cubics import END, LAST, TABLED, cubics_through, horner, table_of
+from aleator.statistics._cubics import END, LAST, TABLED, horner, table_of
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
 # Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
@@ -37,9 +35,11 @@ REPLICATES = 8
 
 # Distances from the origin, in standard deviations: one tail probability in 4000, in 30 000, and the reach of the two
 # wider distributions.
-SEARCHED, CENTRE, _REACHES = 3.5, 4.0, (3.0, 5.0)
-DESCENTS, _STARTS = 12, 64
-APART = 0.7  # cosine between minima that are told apart
+_SEARCHED, CENTRE, _REACHES = 3.5, 4.0, (3.0, 5.0)
+_DESCENTS, _STARTS = 12, 64
+_APART = 0.7  # cosine between minima that are told apart
+# The step of derivatives by imaginary parts, which lose no digits.
+_IMAGINARY = 1e-30
 # Directions are rounded to this, so that lines rest in the last steps of a search for an optimum, and values follow
 # their derivatives there, in which lines rest. A step of the directions changes the error of an integral alone, by
 # about a thousandth of itself.
@@ -51,29 +51,12 @@ _CELLS, _FEWEST_CELLS = {1: 4096, 2: 150}, 33
 # that counts as none.
 ON_A_LATTICE, _TURNS, _COARSER, _NEAREST = {2: 512, 3: 2048}, 4, 4, 1e-9
 
-# Paths of more entries than this are evaluated by fewer lines, and in part by points.
-SINGLE = 4
 # Points for the entries of paths, a power of two, and their width: its most, which makes no more of an error at a level
 # of 0.9 than the points do, and what it is in proportion to, so that points of one variable are hardly spread out.
 _POINTS, _WIDEST, _WIDTH = 512, 0.85, 1.6
 
-# So many points are evaluated at once, for the cache.
-_TOGETHER = 2**11
-
-
-@final
-class LineValues(Module):
-    """An output along lines that are chosen for its small values.
-
-    - `points`: in the normal variables: where each line passes the origin's plane, shape (variables, lines);
-    - `direction`: of all lines; `weights`: of each line, with sum one in each replicate;
-    - `cubics`: the output in each cell by powers of the place in it, from 0 to 1.
-    """
-
-    points: Float[Array, "variables lines"]
-    direction: Float[Array, " variables"]
-    weights: Float[Array, "replicates lines_of_one"]
-    cubics: Float[Array, "4 lines cells"]
+# Paths of more entries than this are evaluated by fewer lines, and in part by points.
+SINGLE = 4
 
 
 @final
@@ -114,14 +97,15 @@ class Lines(Module):
     cells: int = eqx.field(static=True)
 
     @property
-    def orders(self) -> int:
-        """How many polynomials of one variable there are."""
-        return len(self.recurrence)
-
-    @property
     def step(self) -> float:
         """The length of a cell, in standard deviations."""
         return 2 * END / self.cells
+
+    @property
+    def is_whole_lattice(self) -> bool:
+        """Whether these are lines of few variables, for one output: all of a lattice."""
+        variables, *count = self.normals.shape
+        return ON_A_LATTICE.get(variables) == math.prod(count)
 
     def for_one_of(self, entries: int) -> "Lines":
         """Lines for one of the entries of a path: if there are many, fewer."""
@@ -132,78 +116,83 @@ class Lines(Module):
         """Some replicates of the lines, or a sparser lattice."""
         _, normals = in_library(self.normals)
         if len(normals) > max(ON_A_LATTICE):
-            return replace(self, normals=jax_array(normals[:, : REPLICATES // _COARSER]))
+            return replace(self, normals=alike(normals[:, : REPLICATES // _COARSER], self.normals))
         if len(normals) > 1:
             normals = normals[:, 0].reshape(len(normals), _TURNS, -1)
-        return replace(self, normals=jax_array(normals), cells=max(self.cells // _COARSER, _FEWEST_CELLS))
-
-    def values(self, coefficients: Float[Array, " terms"], normal: Float[Array, "variables n"]) -> Float[Array, " n"]:
-        """The expansion at points of the normal variables."""
-        count = normal.shape[1]
-        if count <= _TOGETHER:
-            return coefficients @ self._terms(normal)
-        blocks = -(-count // _TOGETHER)
-        filled = jnp.pad(normal, ((0, 0), (0, blocks * _TOGETHER - count)), mode="edge")
-        split = jnp.moveaxis(filled.reshape(len(normal), blocks, _TOGETHER), 1, 0)
-        return jax.lax.map(lambda some: coefficients @ self._terms(some), split).ravel()[:count]
-
-    def _terms(self, normal: Float[Array, "variables n"]) -> Float[Array, "terms n"]:
-        germ = self._germ(normal)
-
-        def following(
-            state: tuple[Array, Array], row: Float[Array, "3 variables"]
-        ) -> tuple[tuple[Array, Array], Array]:
-            previous, current = state
-            a, b, after = row[..., None]
-            return (current, ((germ - a) * current - b * previous) / after), current
-
-        _, polynomials = jax.lax.scan(following, (jnp.zeros(germ.shape), jnp.ones(germ.shape)), self.recurrence)
-        flat = polynomials.reshape(-1, germ.shape[1])
-        product = flat[self.factors[0]]
-        for others in self.factors[1:]:
-            product = product * flat[others]
-        return product
-
-    def _germ(self, normal: Float[Array, "variables n"]) -> Float[Array, "variables n"]:
-        place = jnp.clip((normal + LAST) * (TABLED / (2 * LAST)), 0.0, float(TABLED))
-        cell = jnp.minimum(place.astype(int), TABLED - 1)
-        cubic = self.table[jax.lax.broadcasted_iota(int, cell.shape, 0), cell]
-        return jnp.where(self.is_normal > 0, normal, horner(jnp.moveaxis(cubic, -1, 0), (place - cell)[None])[0])
+        return replace(self, normals=alike(normals, self.normals), cells=max(self.cells // _COARSER, _FEWEST_CELLS))
 
     def first_of(self, cell: Int[Any, "*cells"]) -> Float[Any, "*cells"]:
         """Where a cell begins, in standard deviations."""
         return (cell - self.cells / 2) * self.step
 
-    def along(self, coefficients: Float[Array, " terms"]) -> LineValues:
-        """An output with mean zero along lines for its small values."""
-        minima = jax.lax.stop_gradient(self.minima(coefficients))
-        minima = unit(jnp.round(minima / STILL) * STILL)
-        direction = minima[:, 0]
-        points, weights = placed(self.normals, direction, CENTRE * minima)
-        # Slopes at the ends of cells take two more nodes beyond either end.
-        places = self.first_of(jnp.arange(-2, self.cells + 3))
-        nodes = points[..., None] + direction[:, None, None] * places[None, None]
-        values = self.values(coefficients, nodes.reshape(len(points), -1)).reshape(nodes.shape[1:])
-        return LineValues(points, direction, weights, cubics_through(values))
+    def terms(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "terms n"]:
+        """The terms of the basis at points of the normal variables, which may have imaginary parts."""
+        flat, (first, *others) = self._polynomials(normal), np.asarray(self.factors)
+        product = flat[first]
+        for other in others:
+            product *= flat[other]
+        return product
 
-    def minima(self, coefficients: Float[Array, " terms"]) -> Float[Array, "variables minima"]:
+    def values(
+        self, coefficients: Float[np.ndarray, " terms"], normal: Float[np.ndarray, "variables n"]
+    ) -> Float[np.ndarray, " n"]:
+        """The expansion at points: products are needed of terms in several variables alone."""
+        flat, factors = self._polynomials(normal), np.asarray(self.factors)
+        is_product = (factors > 0).sum(axis=0) > 1
+        single = np.bincount(factors[:, ~is_product].max(axis=0, initial=0), coefficients[~is_product], len(flat))
+        value = single @ flat
+        if is_product.any():
+            first, *others = factors[:, is_product]
+            product = flat[first]
+            for other in others:
+                product *= flat[other]
+            value += coefficients[is_product] @ product
+        return value
+
+    def _polynomials(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "polynomials n"]:
+        """The polynomials of each variable by degree, the constant first."""
+        germ = self._germ(normal)
+        every, previous, current = [], np.zeros(germ.shape), np.ones(germ.shape, germ.dtype)
+        for a, b, after in np.asarray(self.recurrence)[..., None]:
+            every.append(current)
+            previous, current = current, ((germ - a) * current - b * previous) / after
+        return np.concatenate(every)
+
+    def _germ(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:
+        is_normal = np.asarray(self.is_normal) > 0
+        if np.all(is_normal):
+            return normal
+        place = (normal + LAST) * (TABLED / (2 * LAST))
+        clipped = np.clip(place.real, 0.0, float(TABLED))
+        cell = np.minimum(clipped.astype(int), TABLED - 1)
+        cubic = np.asarray(self.table)[np.arange(len(cell))[:, None], cell]
+        inside = clipped - cell + (place - place.real)
+        return np.where(is_normal, normal, horner(np.moveaxis(cubic, -1, 0), inside[None])[0])
+
+    def minima(self, coefficients: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "variables minima"]:
         """Directions in which the expansion is smallest at some distance, the best one first."""
+        starts = np.asarray(self.starts)
+        left, chosen = coefficients @ np.asarray(self.at_starts), []
+        for _ in range(MINIMA):
+            chosen.append(starts[:, np.argmin(left)])
+            left = np.where(chosen[-1] @ starts > _APART, np.inf, left)
+        minima, values = np.stack(chosen, axis=1), np.zeros(MINIMA)
+        variables = len(minima)
+        steps = 1j * _IMAGINARY * np.eye(variables)[..., None]
+        for _ in range(_DESCENTS):
+            moved = (_SEARCHED * (minima[:, None] + steps)).reshape(variables, -1)
+            heights = (coefficients @ self.terms(moved)).reshape(variables, MINIMA)
+            minima, values = unit(minima - unit(np.imag(heights) / _IMAGINARY)), np.real(heights[0])
+        return minima[:, np.argsort(values, kind="stable")]
 
-        def chosen(left: Float[Array, " starts"], _: None) -> tuple[Array, Array]:
-            best = self.starts[:, jnp.argmin(left)]
-            return jnp.where(best @ self.starts > APART, jnp.inf, left), best
-
-        def heights(at: Float[Array, "variables minima"]) -> tuple[Array, Array]:
-            values = self.values(coefficients, SEARCHED * at)
-            return jnp.sum(values), values
-
-        def descend(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
-            slope, values = jax.grad(heights, has_aux=True)(state[0])
-            return unit(state[0] - unit(slope)), values
-
-        starts = jax.lax.scan(chosen, coefficients @ self.at_starts, None, MINIMA)[1].T
-        minima, values = jax.lax.fori_loop(0, DESCENTS, descend, (starts, jnp.zeros(MINIMA)))
-        return minima[:, jnp.argsort(values)]
+    def axis(self, coefficients: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "variables 1"]:
+        """That of the variable in which the expansion has the largest linear part, in the sense in which it falls."""
+        variables = len(self.table)
+        # Places of factors begin with those of degree zero, which count nothing, then come the linear ones.
+        place = np.asarray(self.factors).sum(axis=0)
+        linear = np.bincount(place, coefficients, 2 * variables)[variables : 2 * variables]
+        axis = np.argmax(np.abs(linear))
+        return np.where(linear[axis] > 0, -1.0, 1.0) * np.eye(variables)[:, [axis]]
 
 
 @final
@@ -227,41 +216,39 @@ AnyLines: TypeAlias = Lines | LinesInElements
 
 
 def placed(
-    normals: Float[Any, "variables replicates lines_of_one"],
-    direction: Float[Any, " variables"],
-    centres: Float[Any, "variables minima"],
-) -> tuple[Float[Any, "variables lines"], Float[Any, "replicates lines_of_one"]]:
+    normals: Float[np.ndarray, "variables replicates lines_of_one"],
+    direction: Float[np.ndarray, " variables"],
+    centres: Float[np.ndarray, "variables minima"],
+) -> tuple[Float[np.ndarray, "variables lines"], Float[np.ndarray, "replicates lines_of_one"]]:
     """Points of lines in the plane across their direction, and their weights."""
-    library, normals, direction, centres = in_library(normals, direction, centres)
     variables, replicates, count = normals.shape
     # Householder's reflection of the last axis to the direction.
     mirror = unit(np.eye(variables)[:, -1:] - direction[:, None])[:, 0]
     flat = normals.reshape(variables, -1)
-    flat = flat - 2 * library.outer(mirror, mirror @ flat)
+    flat = flat - 2 * np.outer(mirror, mirror @ flat)
     if variables <= max(ON_A_LATTICE):
-        distance = library.maximum(library.sqrt(library.sum(normals**2, axis=0)), _NEAREST)
-        even = library.arcsinh(distance)
-        weights = library.exp(-(distance**2) / 2) * library.cosh(even) * (distance / even) ** (variables - 2)
-        return flat, weights * (replicates / library.sum(weights))
+        distance = np.maximum(np.sqrt(np.sum(normals**2, axis=0)), _NEAREST)
+        even = np.arcsinh(distance)
+        weights = np.exp(-(distance**2) / 2) * np.cosh(even) * (distance / even) ** (variables - 2)
+        return flat, weights * (replicates / np.sum(weights))
     sizes = np.array(_SIZES)
     spreads = np.array([1.0, *(np.sqrt(1 + reach**2 / variables) for reach in _REACHES), *[1.0] * MINIMA])
-    across = centres - library.outer(direction, direction @ centres)
-    middles = library.concatenate([library.zeros((variables, 1 + len(_REACHES))), across], axis=1)
+    across = centres - np.outer(direction, direction @ centres)
+    middles = np.concatenate([np.zeros((variables, 1 + len(_REACHES))), across], axis=1)
     which = np.tile(np.repeat(np.arange(len(sizes)), sizes), replicates)
     points = middles[:, which] + spreads[which][None] * flat
-    distances = library.sum((points[:, None] - middles[..., None]) ** 2, axis=0)
+    distances = np.sum((points[:, None] - middles[..., None]) ** 2, axis=0)
     logs = -distances / (2 * spreads[:, None] ** 2) + np.log(sizes / spreads ** (variables - 1))[:, None]
     # The largest first, so that nothing overflows.
-    parts = library.exp(logs - logs.max(axis=0, keepdims=True))
-    weights = (parts[0] / library.sum(parts, axis=0)).reshape(replicates, count)
-    return points, weights * (replicates / library.sum(weights))
+    parts = np.exp(logs - logs.max(axis=0, keepdims=True))
+    weights = (parts[0] / np.sum(parts, axis=0)).reshape(replicates, count)
+    return points, weights * (replicates / np.sum(weights))
 
 
-def unit(vectors: Float[Any, "variables n"]) -> Float[Any, "variables n"]:
+def unit(vectors: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:
     """Columns of length one; those of no length stay."""
-    library, vectors = in_library(vectors)
-    length = library.sqrt(library.sum(vectors**2, axis=0, keepdims=True))
-    return vectors / library.where(length > 0, length, 1.0)
+    length = np.sqrt(np.sum(vectors**2, axis=0, keepdims=True))
+    return vectors / np.where(length > 0, length, 1.0)
 
 
 def refuse_steps(basis: AbstractBasis) -> None:
@@ -300,7 +287,7 @@ def _lines(basis: AbstractBasis) -> Lines:
         factors=jax_array(_factors(indices)),
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
-        at_starts=jax_array(_at(basis, active, SEARCHED * starts)),
+        at_starts=jax_array(_at(basis, active, _SEARCHED * starts)),
         cloud=_cloud_of(basis, active),
         active=tuple(active),
         cells=_CELLS.get(len(germs), _FEWEST_CELLS),

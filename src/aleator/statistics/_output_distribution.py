@@ -8,30 +8,169 @@ few of hundreds; others are taken by points that all outputs share, some hundred
 transition.
 """
 
-import math
+import abc
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, ClassVar, NamedTuple, TypeAlias, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import batching, mlir
+from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar, in_library, jax_array, numbers_to_arrays, quietly
-from aleator._core.compilation import Compiled, Use
-from aleator._core.parallel import over_devices
-from aleator.statistics._known_distribution import KnownDistribution
-from aleator.statistics._lines import SINGLE, AnyLines, Cloud
-from aleator.statistics._lower_tails import EQUAL, AbstractLowerTail, Cut, lower_tail
-from aleator.statistics._statistic import Std, in_blocks, root
+from aleator._core.arrays import jax_array, quietly
+from aleator._core.equations import derived
+from aleator._core.leaves import is_traced
+from aleator._core.parallel import in_order
+from aleator.statistics._lines import SINGLE, AnyLines, Cloud, LinesInElements
+from aleator.statistics._lower_tails import AbstractLowerTail, Cut, Place, TailByLines, TailInElements
 
+# Values of an output that differ by this part of its root mean square are equal.
+EQUAL = 1e-14
+# Lines run along a variable too where the others state a larger error of a probability, and count if they differ from
+# these by no more than so many such errors.
+_DOUBTFUL, _COVERED = 1e-8, 2
 # Points are evaluated for so many entries at once.
 _TOGETHER = 64
 # By how many standard deviations an entry may be apart from the one that decides to be taken by lines alone; more for a
 # tail further out, about which the mean and the spread say less (from Cornish and Fisher's second term).
 _NEAR, _NEARER = 0.1, 0.125
+
+
+class Estimate(NamedTuple):
+    """A statistic of an output, or of some entries.
+
+    - `error`: the 95 % half-width of its integral over the expansion, NaN where points have a part in it;
+    - `slopes`: its derivatives by the coefficients of the same entry;
+    - `by_numbers`: those by the numbers of the statistic, such as a level, in their order.
+    """
+
+    value: Float[Any, "*n"]
+    error: Float[Any, "*n"]
+    slopes: Float[np.ndarray, "terms *n"]
+    by_numbers: tuple[Float[Any, "*n"], ...]
+
+    @property
+    def rows(self) -> Float[np.ndarray, "results *n"]:
+        """All of it, one after the other."""
+        return np.stack([self.value, self.error, *self.slopes, *self.by_numbers])
+
+
+class AbstractOutputDistribution(abc.ABC):
+    """The distribution of an output, or of some entries, by their coefficients."""
+
+    def __init__(self, coefficients: Float[np.ndarray, "terms *n"]):
+        self._mean = coefficients[0]
+        self._rest = np.concatenate([np.zeros_like(coefficients[:1]), coefficients[1:]])
+        self._equal = EQUAL * np.sqrt(np.sum(coefficients**2, axis=0))
+
+    @abc.abstractmethod
+    def _sought(
+        self, sign: Float[Any, "*n"], search: Callable[[AbstractLowerTail], Place]
+    ) -> tuple[AbstractLowerTail, Place]:
+        """The lower tail of the output, or of its negative by its sign, and the threshold that is sought in it."""
+
+    def _slopes(
+        self, by_mean: Float[Any, "*n"], by_others: Float[np.ndarray, "terms *n"]
+    ) -> Float[np.ndarray, "terms *n"]:
+        return np.concatenate([np.broadcast_to(by_mean, by_others.shape[1:])[None], by_others[1:]])
+
+    def chance(self, value: Any, *, above: bool, or_equal: bool = False) -> Estimate:
+        """The probability of more than a value, or of less, without loss of digits where it is small.
+
+        What equals the value but for rounding, as systems at a stop do, counts only with `or_equal`.
+        """
+        off = float(value) - self._mean + (self._equal if above != or_equal else -self._equal)
+        threshold, sign = -np.abs(off), np.where(off < 0, 1.0, -1.0)
+        tail, (_, at, *_) = self._sought(sign, lambda tail: Place(threshold, tail.cut(threshold)))
+        beyond, slopes = tail.below(threshold, at)
+        density, slopes = tail.change(threshold, at, slopes)
+        # By the mean, from the density; by what follows, through the sign of the tail's own coefficients.
+        slopes, is_beyond = self._slopes(-sign * density, sign * slopes), (off < 0) != above
+        return Estimate(
+            np.where(is_beyond, beyond, 1 - beyond),
+            tail.error(at),
+            np.where(is_beyond, slopes, -slopes),
+            (-density if above else density,),
+        )
+
+    def between(self, low: Any, high: Any) -> Estimate:
+        """The probability of values between two, these included."""
+        under, over = self.chance(low, above=False, or_equal=True), self.chance(high, above=True, or_equal=True)
+        by_ends = -under.by_numbers[0], -over.by_numbers[0]
+        return Estimate(1 - under.value - over.value, under.error + over.error, -under.slopes - over.slopes, by_ends)
+
+    def density(self, value: Any) -> Estimate:
+        """The probability density at a value, without derivatives."""
+        chance = self.chance(value, above=False, or_equal=True)
+        unknown = np.full_like(chance.value, np.nan)
+        return Estimate(chance.by_numbers[0], unknown, np.full_like(chance.slopes, np.nan), (unknown,))
+
+    @quietly
+    def quantile(self, level: Any) -> Estimate:
+        """The value that the output stays below with a probability."""
+        level = float(level)
+        sign, own = (1.0, level) if level < 0.5 else (-1.0, 1 - level)
+        tail, (quantile, at, slopes, by_level) = self._sought(sign, lambda tail: tail.quantile(own))
+        share = tail.error(at)
+        # Where few lines meet a tail, the density there says nothing of how far others would move it.
+        error = np.where(share > own / 2, np.abs(quantile), np.where(at.density > 0, share / at.density, 0.0))
+        return Estimate(self._mean + sign * quantile, error, self._slopes(1.0, slopes), (by_level,))
+
+    def mean_beyond(self, level: Any, *, lower: bool) -> Estimate:
+        """The mean of the values below a quantile, or above it."""
+        level = float(level)
+        sign, own = (1.0, level) if level < 0.5 else (-1.0, 1 - level)
+        tail, (quantile, at, moving, _) = self._sought(sign, lambda tail: tail.quantile(own))
+        shortfall, slopes = tail.shortfall(quantile, at)
+        # The quantile contributes where many systems share it: else as much lies below as the level says.
+        below, slopes = quantile - shortfall / own, moving * (1 - at.below / own) - slopes / own
+        # The mean of all is zero, so that those on the other side of the quantile balance these.
+        factor = 1.0 if (sign > 0) == lower else -own / (1 - own)
+        by_level = np.abs(factor * below - quantile) / (level if lower else 1 - level)
+        value = self._mean + sign * factor * below
+        return Estimate(value, tail.error(at) * by_level, self._slopes(1.0, factor * slopes), (by_level,))
+
+
+@final
+class DistributionByLines(AbstractOutputDistribution):
+    """That of one output. `lines`: of NumPy's arrays."""
+
+    def __init__(self, coefficients: Float[np.ndarray, " terms"], lines: AnyLines):
+        super().__init__(coefficients)
+        self._lines, self._tails = lines, dict[tuple[float, bool], AbstractLowerTail]()
+
+    def _tail(self, sign: float, *, is_axial: bool) -> AbstractLowerTail:
+        if (sign, is_axial) not in self._tails:
+            signed, lines = sign * self._rest, self._lines
+            in_elements = isinstance(lines, LinesInElements)
+            tail = TailInElements(signed, lines) if in_elements else TailByLines(signed, lines, is_axial=is_axial)
+            self._tails[sign, is_axial] = tail
+        return self._tails[sign, is_axial]
+
+    @override
+    def _sought(
+        self, sign: Float[Any, ""], search: Callable[[AbstractLowerTail], Place]
+    ) -> tuple[AbstractLowerTail, Place]:
+        """Along the lines with the smaller error.
+
+        Where the output bends, lines to its smallest values meet a threshold twice, or touch it, even if it rises all
+        along one of the variables: lines along this variable meet it once, if they find as much within what the others
+        may be off by.
+        """
+        tail = self._tail(float(sign), is_axial=False)
+        place = search(tail)
+        error = tail.error(place.cut)
+        if isinstance(self._lines, LinesInElements) or not (self._lines.is_whole_lattice and error > _DOUBTFUL):
+            return tail, place
+        axial = self._tail(float(sign), is_axial=True)
+        again = search(axial)
+        moved = abs(again.threshold - place.threshold) * place.cut.density
+        agrees = abs(again.cut.below - place.cut.below) + moved <= _COVERED * error
+        return (axial, again) if agrees and axial.error(again.cut) < error else (tail, place)
 
 
 @final
@@ -43,291 +182,194 @@ class TailByPoints(AbstractLowerTail):
 
     close: ClassVar[float] = 1e-4
 
-    values: Float[Array, " points"]
-    width: Float[Array, ""]
+    def __init__(self, signed: Float[np.ndarray, "terms entries"], cloud: Cloud):
+        self._terms = np.asarray(cloud.terms)
+        self.std = np.sqrt(np.sum(signed**2, axis=0))
+        self._values = signed.T @ self._terms
+        self._width = np.maximum(cloud.width * self.std, np.finfo(float).tiny)
 
-    @classmethod
-    def of(cls, signed: Float[Array, " terms"], cloud: Cloud) -> "TailByPoints":
-        """That of an output with mean zero."""
-        std = root(jnp.sum(signed**2))
-        width = jnp.maximum(cloud.width * jax.lax.stop_gradient(std), np.finfo(float).tiny)
-        return cls(std, signed @ cloud.terms, width)
+    def _places(self, threshold: Float[np.ndarray, " entries"]) -> Float[np.ndarray, "entries points"]:
+        return (threshold - self._values.T).T / self._width[:, None]
 
-    def _places(self, threshold: Float[Array, ""]) -> Float[Array, " points"]:
-        return (threshold - self.values) / self.width
-
-    @override
-    def cut(self, threshold: Float[Array, ""]) -> Cut:
-        square = jnp.minimum(self._places(threshold) ** 2, 1.0)
-        density = jnp.mean((1 - square) * (3 - 7 * square)) * 15 / 32 / self.width
-        none = jnp.zeros(0)
-        return Cut(self.below(threshold, ()), density, *[none] * 8)
+    def _slopes(self, each: Float[np.ndarray, "entries points"]) -> Float[np.ndarray, "terms entries"]:
+        """Those of a mean over the points, by its derivatives by their values."""
+        return self._terms @ each.T / each.shape[1]
 
     @override
-    def below(self, threshold: Float[Array, ""], at: object) -> Float[Array, ""]:
-        place = jnp.clip(self._places(threshold), -1.0, 1.0)
-        square = place**2
-        return jnp.mean(0.5 + place * (45 - square * (50 - 21 * square)) / 32)
-
-    @override
-    def shortfall(self, threshold: Float[Array, ""], at: object) -> Float[Array, ""]:
+    def cut(self, threshold: Float[np.ndarray, " entries"]) -> Cut:
         place = self._places(threshold)
-        square = jnp.minimum(place**2, 1.0)
-        inside = jnp.clip(place, -1.0, 1.0) / 2 + (5 + square * (45 - square * (25 - 7 * square))) / 64
-        return self.width * jnp.mean(inside + jnp.maximum(place - 1, 0.0))
+        return Cut(np.mean(_kernel_below(place), axis=1), np.mean(_kernel(place), axis=1) / self._width)
 
     @override
-    def error(self, at: Cut) -> Float[Array, ""]:
+    def below(
+        self, threshold: Float[np.ndarray, " entries"], at: Cut
+    ) -> tuple[Any, Float[np.ndarray, "terms entries"]]:
+        return at.below, -self._slopes(_kernel(self._places(threshold)) / self._width[:, None])
+
+    @override
+    def shortfall(
+        self, threshold: Float[np.ndarray, " entries"], at: Cut
+    ) -> tuple[Any, Float[np.ndarray, "terms entries"]]:
+        place = self._places(threshold)
+        square = np.minimum(place**2, 1.0)
+        inside = np.clip(place, -1.0, 1.0) / 2 + (5 + square * (45 - square * (25 - 7 * square))) / 64
+        value = self._width * np.mean(inside + np.maximum(place - 1, 0.0), axis=1)
+        return value, -self._slopes(_kernel_below(place))
+
+    @override
+    def error(self, at: Cut) -> Float[np.ndarray, " entries"]:
         """Unknown."""
-        return jnp.asarray(jnp.nan)
+        return np.full(self.std.shape, np.nan)
 
 
-TailOf: TypeAlias = Callable[[Float[Array, " terms"]], AbstractLowerTail]
-"""The lower tail of an output by its coefficients, the first of which is zero."""
+def _kernel(place: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    square = np.minimum(place**2, 1.0)
+    return (1 - square) * (3 - 7 * square) * (15 / 32)
 
 
-class Estimate(NamedTuple):
-    """A statistic, and the 95 % half-width of its integral over the expansion."""
-
-    value: Float[Array, ""]
-    error: Float[Array, ""]
+def _kernel_below(place: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    place = np.clip(place, -1.0, 1.0)
+    square = place**2
+    return 0.5 + place * (45 - square * (50 - 21 * square)) / 32
 
 
 @final
-class OutputDistribution(NamedTuple):
-    """The distribution of an output, whose tails some function gives: the upper one as that of its negative."""
+class DistributionByPoints(AbstractOutputDistribution):
+    """That of some entries."""
 
-    coefficients: Float[Array, " terms"]
-    tail_of: TailOf
+    def __init__(self, coefficients: Float[np.ndarray, "terms entries"], cloud: Cloud):
+        super().__init__(coefficients)
+        self._cloud = cloud
 
-    def _side(self, is_lower: Bool[Array, ""]) -> tuple[Array, AbstractLowerTail]:
-        sign = jnp.where(is_lower, 1.0, -1.0)
-        return sign, self.tail_of(sign * self.coefficients.at[0].set(0.0))
-
-    def chance(self, value: Scalar, *, above: bool, or_equal: bool = False) -> Estimate:
-        """The probability of more than a value, or of less, without loss of digits where it is small.
-
-        What equals the value but for rounding, as systems at a stop do, counts only with `or_equal`.
-        """
-        rounding = jax.lax.stop_gradient(EQUAL * root(jnp.sum(self.coefficients**2)))
-        off = jnp.asarray(value) - self.coefficients[0] + (rounding if above != or_equal else -rounding)
-        is_lower = off < 0
-        sign, tail = self._side(is_lower)
-        at = jax.lax.stop_gradient(tail.cut(sign * off))
-        beyond = tail.below(sign * off, at)
-        return Estimate(jnp.where(is_lower != above, beyond, 1 - beyond), tail.error(at))
-
-    def between(self, low: Scalar, high: Scalar) -> Estimate:
-        """The probability of values between two, these included."""
-        under, over = self.chance(low, above=False, or_equal=True), self.chance(high, above=True, or_equal=True)
-        return Estimate(1 - under.value - over.value, under.error + over.error)
-
-    def density(self, value: Float[Array, ""]) -> Float[Array, ""]:
-        """The probability density at a value. Not differentiable."""
-        off = value - self.coefficients[0]
-        sign, tail = self._side(off < 0)
-        return tail.cut(sign * off).density
-
-    def quantile(self, level: Scalar) -> Estimate:
-        """The value that the output stays below with a probability."""
-        is_lower = jnp.asarray(level) < 0.5
-        sign, tail = self._side(is_lower)
-        quantile, at = tail.quantile(jnp.where(is_lower, level, 1 - level))
-        share = tail.error(at)
-        error = share / jnp.where(at.density > 0, at.density, jnp.inf)
-        # Where few lines meet a tail, the density there says nothing of how far others would move it.
-        is_doubtful = share > jnp.where(is_lower, level, 1 - level) / 2
-        return Estimate(self.coefficients[0] + sign * quantile, jnp.where(is_doubtful, jnp.abs(quantile), error))
-
-    def mean_beyond(self, level: Scalar, *, lower: bool) -> Estimate:
-        """The mean of the values below a quantile, or above it."""
-        is_lower = jnp.asarray(level) < 0.5
-        own = jnp.where(is_lower, level, 1 - level)
-        sign, tail = self._side(is_lower)
-        quantile, at = tail.quantile(own)
-        below = quantile - tail.shortfall(quantile, at) / own
-        # The mean of all is zero, so that those on the other side of the quantile balance these.
-        away = jnp.where(is_lower == lower, below, -below * own / (1 - own))
-        # By the derivative of the mean beyond a quantile by the level.
-        slope = jnp.abs(away - quantile) / (level if lower else 1 - level)
-        return Estimate(self.coefficients[0] + sign * away, tail.error(at) * slope)
-
-
-def rows_of(
-    kinds: Sequence[Any], coefficients: Sequence[Float[Array, "terms *shape"]]
-) -> Float[Array, "columns entries"]:
-    """The coefficients of all entries of some paths, followed by the numbers of their statistics."""
-    each = []
-    for kind, terms in zip(kinds, coefficients, strict=True):
-        numbers = [jnp.full((1, *terms.shape[1:]), number, dtype=float) for number in jax.tree.leaves(kind)]
-        each.append(jnp.concatenate([terms, *numbers]).reshape(len(terms) + len(numbers), -1))
-    return jnp.concatenate(each, axis=1)
-
-
-def _split(structure: Any, rows: Float[Array, "columns *n"]) -> tuple[Any, Float[Array, "terms *n"]]:
-    terms = len(rows) - structure.num_leaves
-    return jax.tree.unflatten(structure, list(rows[terms:])), rows[:terms]
-
-
-@partial(jax.custom_jvp, nondiff_argnums=(0, 3))
-def statistics_of_rows(
-    structure: Any, rows: Float[Array, "columns entries"], lines: AnyLines, paths: int
-) -> Float[Array, " entries"]:
-    """The statistic of each entry of some paths of one length, with kinds of one structure."""
-    return _evaluated(_of_row, structure, rows, lines, paths)[0]
-
-
-@statistics_of_rows.defjvp
-def _with_tangents(
-    structure: Any, paths: int, primals: tuple[Array, AnyLines], tangents: tuple[Array, Any]
-) -> tuple[Array, Array]:
-    """The gradient is found once, together with the statistic: a tangent costs one sum.
-
-    Crossings rest in it, so that second derivatives are zero: none are traced.
-    """
-    value, _, *slopes = _evaluated(_sloped, structure, *jax.lax.stop_gradient(primals), paths)
-    return value, jnp.sum(jnp.stack(slopes) * tangents[0], axis=0)
-
-
-def estimate_of_row(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Estimate:
-    """The statistic of an entry, and its error."""
-    kind, terms = _split(structure, row)
-    return kind.of_distribution(OutputDistribution(terms, tail_of))
-
-
-def _of_row(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Float[Array, ""]:
-    return estimate_of_row(structure, row, tail_of).value
-
-
-def _evaluated(
-    function: Callable[..., Any], structure: Any, rows: Array, lines: AnyLines, paths: int
-) -> Float[Array, "results entries"]:
-    """The results of a function of each row."""
-    entries = rows.shape[1] // paths
-    lines, of_row = lines.for_one_of(entries), partial(function, structure)
-    if entries <= SINGLE:
-        return by_lines(of_row, rows, lines)
-    kinds, terms = jax.tree.map(lambda each: each.reshape(*each.shape[:-1], paths, -1), _split(structure, rows))
-    share = jax.lax.stop_gradient(_share_by_lines(kinds, terms).ravel())
-    coarse = _by_points(of_row, rows, lines.cloud)
-    fine = by_lines(of_row, rows, lines, (coarse, jnp.argsort(-share), jnp.sum(share > 0)))
-    return coarse + share[None] * (fine - coarse)
-
-
-def _by_points(
-    of_row: Callable[..., Any], rows: Float[Array, "columns entries"], cloud: Cloud
-) -> Float[Array, "results entries"]:
-    by_points = jax.vmap(lambda row: _flat(of_row(row, partial(TailByPoints.of, cloud=cloud))))
-    return in_blocks(by_points, rows, _TOGETHER).T
-
-
-@quietly
-def _share_by_lines(kind: Any, terms: Any) -> Float[Array, "*n entries"]:
-    """The part that lines have in each entry of a path; points have the rest."""
-    library, terms = in_library(terms)
-    apart, away = kind.apart(terms[0], Std().of(terms, ()))
-    share = library.nan_to_num(library.clip(2 - apart / (_NEAR + _NEARER * away**2), 0.0, 1.0))
-    return share**2 * (3 - 2 * share)
-
-
-def _flat(results: Any) -> Float[Array, " results"]:
-    return jnp.hstack(jax.tree.leaves(results))
-
-
-def by_lines(
-    function: Callable[[Float[Array, " columns"], TailOf], Any],
-    rows: Float[Array, "columns entries"],
-    lines: AnyLines,
-    some: tuple[Float[Array, "results entries"], Int[Array, " entries"], Int[Array, ""]] | None = None,
-) -> Float[Array, "results entries"]:
-    """The results of a function of each row by lines, one after the other.
-
-    - `some`: the results of other rows, an order, and how many of the first in this order are taken.
-    """
-
-    def each(row: Float[Array, " columns"]) -> Float[Array, " results"]:
-        return _flat(function(row, partial(lower_tail, lines=lines)))
-
-    count = rows.shape[1]
-    if count == 1:
-        return each(rows[:, 0])[:, None]
-    if some is None:
-        return jax.lax.map(each, rows.T).T
-    results, order, taken = some
-
-    def evaluate(k: Int[Array, ""], results: Array) -> Array:
-        return results.at[:, order[k]].set(each(rows[:, order[k]]))
-
-    return jax.lax.fori_loop(0, taken, evaluate, results)
-
-
-def _sloped(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> Any:
-    """The statistic of an entry, its error, and its derivatives by all columns."""
-
-    def estimate(row: Float[Array, " columns"]) -> tuple[Array, Array]:
-        return estimate_of_row(structure, row, tail_of)
-
-    (value, error), slopes = jax.value_and_grad(estimate, has_aux=True)(row)
-    return value, error, slopes
-
-
-def _rows_by_points(
-    kind: Any, coefficients: Float[Array, "terms entries"], cloud: Cloud
-) -> Float[Array, "results entries"]:
-    return _by_points(partial(_sloped, jax.tree.structure(kind)), rows_of([kind], [coefficients]), cloud)
-
-
-# Its equations know no problem: one program serves all with as many terms. It has a loop that ends by a condition, and
-# runs in milliseconds.
-BY_POINTS = Compiled(_rows_by_points, use=Use.ONCE)
+    @override
+    def _sought(
+        self, sign: Float[Any, "*entries"], search: Callable[[AbstractLowerTail], Place]
+    ) -> tuple[AbstractLowerTail, Place]:
+        tail = TailByPoints(sign * self._rest, self._cloud)
+        return tail, search(tail)
 
 
 class Sloped(NamedTuple):
-    """A statistic of known coefficients of shape (terms, *shape).
+    """A statistic of coefficients of shape (terms, *shape): as an `Estimate` of each entry.
 
-    - `values`, `errors`: the statistic, and the 95 % half-width of its integral over the expansion, NaN where points
-      have a part in it; `slopes`: the derivatives of values by the coefficients of the same entry.
+    `by_numbers` is stacked along a first axis.
     """
 
-    values: Float[np.ndarray, "*shape"]
-    errors: Float[np.ndarray, "*shape"]
-    slopes: Float[np.ndarray, "terms *shape"]
+    values: Float[Any, "*shape"]
+    errors: Float[Any, "*shape"]
+    slopes: Float[Any, "terms *shape"]
+    by_numbers: Float[Any, "numbers *shape"]
 
 
 def sloped(
     kind: Any, coefficients: Float[np.ndarray, "terms *shape"], lines: AnyLines, *, by_lines_alone: bool = False
 ) -> Sloped:
-    """A statistic of a known output, entry by entry, on all cores."""
+    """A statistic of a known output, entry by entry, on all cores. Without JAX: programs call it."""
     terms, *shape = coefficients.shape
     every = coefficients.reshape(terms, -1)
     is_finite = np.isfinite(every).all(axis=0)
-    results, entries = np.full((2 + terms, every.shape[1]), np.nan), every[:, is_finite]
-    numbers, lines = numbers_to_arrays(kind), lines.for_one_of(every.shape[1])
-    known = jax.tree.map(np.asarray, lines)
+    entries, is_path = every[:, is_finite], every.shape[1] > SINGLE
+    known = jax.tree.map(np.asarray, lines).for_one_of(every.shape[1])
 
     def by_points(some: Float[np.ndarray, "terms entries"]) -> Float[np.ndarray, "results entries"]:
-        filled = np.pad(some, ((0, 0), (0, _TOGETHER - some.shape[1])), mode="edge")
-        return np.asarray(BY_POINTS(numbers, jax_array(filled), lines.cloud))[: 2 + terms, : some.shape[1]]
+        return kind.of_distribution(DistributionByPoints(some, known.cloud)).rows
 
-    def by_lines_at(entry: int) -> Float[np.ndarray, " results"]:
-        value, error, slopes = kind.of_distribution(KnownDistribution(entries[:, entry], known))
-        return np.array([value, error, *slopes])
+    def by_lines(entry: int) -> Float[np.ndarray, " results"]:
+        return kind.of_distribution(DistributionByLines(entries[:, entry], known)).rows
 
-    share, coarse = np.ones(entries.shape[1]), np.zeros((2 + terms, entries.shape[1]))
-    if every.shape[1] > SINGLE and entries.size and not by_lines_alone:
-        share = np.asarray(_share_by_lines(kind, entries))
+    share = np.ones(entries.shape[1])
+    results = np.zeros((2 + terms + len(jax.tree.leaves(kind)), entries.shape[1]))
+    if is_path and entries.size and not by_lines_alone:
+        share = _share_by_lines(kind, entries)
         blocks = np.split(entries, range(_TOGETHER, entries.shape[1], _TOGETHER), axis=1)
-        coarse = np.concatenate(list(over_devices(by_points, blocks)), axis=1)
+        results = np.concatenate(list(in_order(by_points, blocks)), axis=1)
     near = np.flatnonzero(share).tolist()
-    for entry, fine in zip(near, over_devices(by_lines_at, near), strict=True):
-        part, own = share[entry], coarse[:, entry]
-        coarse[:, entry] = fine if part == 1 else own + part * (fine - own)
-    results[:, is_finite] = coarse
-    value, error, *slopes = results.reshape(2 + terms, *shape)
-    return Sloped(value, error, np.stack(slopes))
+    for entry, fine in zip(near, in_order(by_lines, near), strict=True):
+        part, own = share[entry], results[:, entry]
+        results[:, entry] = fine if part == 1 else own + part * (fine - own)
+    whole = np.full((len(results), every.shape[1]), np.nan)
+    whole[:, is_finite] = results
+    whole = whole.reshape(-1, *shape)
+    return Sloped(whole[0], whole[1], whole[2 : 2 + terms], whole[2 + terms :])
 
 
-def prepare_sloped(kind: Any, shape: tuple[int, ...], lines: AnyLines) -> None:
-    """Begin to compile what `sloped` will call for coefficients of a shape."""
-    if math.prod(shape[1:]) > SINGLE:
-        BY_POINTS.prepare(numbers_to_arrays(kind), jax_array(np.zeros((shape[0], _TOGETHER))), lines.cloud)
+@quietly
+def _share_by_lines(kind: Any, terms: Float[np.ndarray, "terms entries"]) -> Float[np.ndarray, " entries"]:
+    """The part that lines have in each entry of a path; points have the rest."""
+    apart, away = kind.apart(terms[0], np.sqrt(np.sum(terms[1:] ** 2, axis=0)))
+    share = np.nan_to_num(np.clip(2 - apart / (_NEAR + _NEARER * away**2), 0.0, 1.0))
+    return share**2 * (3 - 2 * share)
+
+
+def statistic_of(
+    kind: Any, coefficients: Float[Array, "terms *shape"], lines: AnyLines, *, by_lines_alone: bool = False
+) -> Float[Array, "*shape"]:
+    """A statistic of an output, known or traced, with first derivatives: second ones are zero."""
+    if not is_traced((kind, coefficients, lines)):
+        return jax_array(sloped(kind, np.asarray(coefficients), lines, by_lines_alone=by_lines_alone).values)
+    (numbers, own), (constants, others) = jax.tree.flatten(kind), jax.tree.flatten(lines)
+
+    structures = own, others, by_lines_alone
+
+    def found(coefficients: Array, numbers: list[Array], constants: list[Array]) -> Sloped:
+        return Sloped(*_sloped.bind(coefficients, *numbers, *constants, structures=structures))
+
+    @jax.custom_jvp
+    def values(coefficients: Array, numbers: list[Array], constants: list[Array]) -> Array:
+        return found(coefficients, numbers, constants).values
+
+    def tangent(primals: Any, tangents: Any) -> tuple[Array, Array]:
+        """Values and slopes are found together: a tangent costs one sum."""
+        value, _, slopes, by_numbers = found(*primals)
+        change = jnp.sum(slopes * tangents[0], axis=0)
+        return value, change + sum(slope * by for slope, by in zip(by_numbers, tangents[1], strict=True))
+
+    values.defjvp(derived(tangent))
+    return values(coefficients, [jnp.asarray(one, dtype=float) for one in numbers], constants)
+
+
+# NumPy computes it inside programs too: its equations would take seconds to compile for each basis.
+_sloped = Primitive("statistic_of_tail")
+_sloped.multiple_results = True
+
+
+def _by_numpy(coefficients: Any, *rest: Any, structures: Any) -> tuple[np.ndarray, ...]:
+    own, others, by_lines_alone = structures
+    numbers, constants = rest[: own.num_leaves], rest[own.num_leaves :]
+    kind = jax.tree.unflatten(own, [float(one) for one in numbers])
+    lines = jax.tree.unflatten(others, list(map(np.asarray, constants)))
+    return tuple(sloped(kind, np.asarray(coefficients), lines, by_lines_alone=by_lines_alone))
+
+
+def _shapes(coefficients: Any, *_: Any, structures: Any) -> list[ShapedArray]:
+    terms, *shape = coefficients.shape
+    counts = (), (), (terms,), (structures[0].num_leaves,)
+    return [ShapedArray((*count, *shape), coefficients.dtype) for count in counts]
+
+
+def _batched(operands: Sequence[Array], axes: Sequence[int | None], **params: Any) -> tuple[list[Array], list[int]]:
+    moved = [one if axis is None else jnp.moveaxis(one, axis, 0) for one, axis in zip(operands, axes, strict=True)]
+    is_moved = [axis is not None for axis in axes]
+
+    def each(own: list[Array]) -> list[Array]:
+        parts = iter(own)
+        every = (next(parts) if is_one else one for one, is_one in zip(moved, is_moved, strict=True))
+        return _sloped.bind(*every, **params)
+
+    results = jax.lax.map(each, [one for one, is_one in zip(moved, is_moved, strict=True) if is_one])
+    return results, [0] * len(results)
+
+
+def _lowered(context: Any, *operands: Any, **params: Any) -> Any:
+    def call(*arrays: Any) -> tuple[np.ndarray, ...]:
+        return _by_numpy(*arrays, **params)
+
+    shapes = context.avals_in, context.avals_out
+    options: Any = {"has_side_effect": False, "returns_token": False}
+    return mlir.emit_python_callback(context, call, None, list(operands), *shapes, **options)[0]
+
+
+_sloped.def_impl(lambda *operands, **params: list(map(jax_array, _by_numpy(*operands, **params))))
+_sloped.def_abstract_eval(_shapes)
+batching.primitive_batchers[_sloped] = _batched
+mlir.register_lowering(_sloped, _lowered, cacheable=False)

@@ -10,7 +10,6 @@ import scipy
 from jaxtyping import Float, Int
 
 from aleator._core.arrays import jax_array
-from aleator._core.compilation import Use, evaluate
 from aleator.expansion import AbstractBasis
 from aleator.statistics._lines import AnyLines, Lines
 
@@ -69,7 +68,7 @@ def tail_proposal(
     distance = np.clip(-scipy.special.ndtri(chance), _NEAREST, _FURTHEST)
     if isinstance(lines, Lines):
         minima = np.zeros((_MINIMA, basis.variables))
-        minima[:, list(lines.active)] = np.asarray(evaluate(Lines.minima, lines, jax_array(signed), use=Use.BRIEF)).T
+        minima[:, list(lines.active)] = lines.minima(signed).T
         minima *= distance
     else:
         minima = _likeliest(basis, signed, chance, distance)

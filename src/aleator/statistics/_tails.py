@@ -4,37 +4,35 @@ All use the expansion along lines through the space of normal variables (see `_l
 are exact to about 1e-8 for smooth outputs. In more, probabilities of one output between 1e-7 and one have relative
 errors of some percent, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
 their tail. Entries of a path use fewer lines, or points (see `_output_distribution`). Where coefficients are known, all
-of it is NumPy (see `_known_tails`).
+of it is NumPy.
 """
 
 import abc
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import ClassVar, final
+from collections.abc import Callable
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import is_traced
+from aleator._core.leaves import Module, is_traced
+from aleator._core.parallel import in_order
 from aleator.statistics._lines import AnyLines, lines_through
-from aleator.statistics._lower_tails import EQUAL, normal_score
 from aleator.statistics._output_distribution import (
+    EQUAL,
+    AbstractOutputDistribution,
+    DistributionByLines,
     Estimate,
-    OutputDistribution,
-    TailOf,
-    by_lines,
-    estimate_of_row,
-    rows_of,
     sloped,
-    statistics_of_rows,
+    statistic_of,
 )
-from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
+from aleator.statistics._statistic import AbstractStatistic, level_given, number_given
 
 # A spread that is no more than this part of a distance counts as none.
 _NO_SPREAD = 1e-12
@@ -55,21 +53,17 @@ class AbstractTail(AbstractStatistic):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: AnyLines) -> Float[Array, "*shape"]:
-        return tails_together([self], [coefficients], constants)[0]
+        return statistic_of(self, coefficients, constants)
 
     def estimated(
-        self, coefficients: Float[Array, "terms *shape"], constants: AnyLines
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-        """The statistic by lines, and the 95 % half-width of its integral over the expansion."""
-        if not is_traced((self, coefficients, constants)):
-            known = sloped(self, np.asarray(coefficients), constants, by_lines_alone=True)
-            return jax_array(known.values), jax_array(known.errors)
-        rows, lines = rows_of([self], [coefficients]), constants.for_one_of(coefficients[0].size)
-        value, error = by_lines(partial(estimate_of_row, jax.tree.structure(self)), rows, lines)
-        return value.reshape(coefficients.shape[1:]), error.reshape(coefficients.shape[1:])
+        self, coefficients: Float[np.ndarray, "terms *shape"], constants: AnyLines
+    ) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
+        """The statistic by lines, and the 95 % half-width of its integral over the expansion, which is known."""
+        known = sloped(self, coefficients, constants, by_lines_alone=True)
+        return known.values, known.errors
 
     @abc.abstractmethod
-    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+    def of_distribution(self, distribution: AbstractOutputDistribution) -> Estimate:
         """The statistic of an output, and its error."""
 
     @abc.abstractmethod
@@ -77,7 +71,9 @@ class AbstractTail(AbstractStatistic):
         """The probability of the tail that it speaks of where it has a value, and whether that is the lower one."""
 
     @abc.abstractmethod
-    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
+    def apart(
+        self, mean: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "*m"]]:
         """How many standard deviations each entry of a path is apart from that which a limit would be decided by, and
         how many the statistic is away from the mean there, if entries were normally distributed.
         """
@@ -95,12 +91,14 @@ class AbstractAtLevel(AbstractTail):
         return min(float(self.level), 1 - float(self.level)), float(self.level) < 0.5
 
     @override
-    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
-        library, mean, std, away = in_library(mean, std, normal_score(self.level))
+    def apart(
+        self, mean: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "*m"]]:
+        away = scipy.special.ndtri(self.level)
         # The largest of quantiles above the mean, the smallest of those below it.
-        normal = library.where(away < 0, -1.0, 1.0) * mean + library.abs(away) * std
-        behind = library.nanmax(normal, axis=-1, keepdims=True) - normal
-        return behind / library.maximum(std, _NO_SPREAD * behind), library.abs(away)
+        normal = (-1.0 if away < 0 else 1.0) * mean + abs(away) * std
+        behind = np.nanmax(normal, keepdims=True) - normal
+        return behind / np.maximum(std, _NO_SPREAD * behind), np.abs(away)
 
 
 @final
@@ -111,7 +109,7 @@ class Quantile(AbstractAtLevel):
         self.level = level_given("Quantile", level)
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+    def of_distribution(self, distribution: AbstractOutputDistribution) -> Estimate:
         return distribution.quantile(self.level)
 
     @override
@@ -140,7 +138,7 @@ class ConditionalValueAtRisk(AbstractAtLevel):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+    def of_distribution(self, distribution: AbstractOutputDistribution) -> Estimate:
         return distribution.mean_beyond(self.level, lower=self.lower)
 
     @override
@@ -183,7 +181,7 @@ class Probability(AbstractTail):
             )
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+    def of_distribution(self, distribution: AbstractOutputDistribution) -> Estimate:
         if self.above is None or self.below is None:
             return distribution.chance(self._thresholds[0], above=self.below is None)
         return distribution.between(self.above, self.below)
@@ -193,11 +191,12 @@ class Probability(AbstractTail):
         return [threshold for threshold in (self.above, self.below) if threshold is not None]
 
     @override
-    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
-        library, mean, std, thresholds = in_library(mean, std, self._thresholds)
-        away = [library.abs(threshold - mean) for threshold in thresholds]
-        scores = library.min(library.stack(away), axis=0) / library.maximum(std, _NO_SPREAD * away[0])
-        nearest = library.nanmin(scores, axis=-1, keepdims=True)
+    def apart(
+        self, mean: Float[np.ndarray, " n"], std: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "*m"]]:
+        away = np.min([np.abs(threshold - mean) for threshold in self._thresholds], axis=0)
+        scores = away / np.maximum(std, _NO_SPREAD * away)
+        nearest = np.nanmin(scores, keepdims=True)
         return scores - nearest, nearest
 
     @override
@@ -234,25 +233,31 @@ def _brief(threshold: Scalar | None) -> str:
     return f"{np.asarray(threshold):g}"
 
 
-def tails_together(
-    kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: AnyLines
-) -> list[Float[Array, "*shape"]]:
-    """Tails of one class and structure, of outputs of one shape; where they are traced, in one loop for all."""
-    if not is_traced((kinds, coefficients, constants)):
-        pairs = zip(kinds, coefficients, strict=True)
-        return [jax_array(sloped(kind, np.asarray(terms), constants).values) for kind, terms in pairs]
-    rows = rows_of(kinds, coefficients)
-    values = statistics_of_rows(jax.tree.structure(kinds[0]), rows, constants, len(kinds))
-    return list(values.reshape(len(kinds), *coefficients[0].shape[1:]))
+@final
+class _AtMost(Module):
+    """The probability of a value and of all below it."""
+
+    value: Scalar
+
+    def of_distribution(self, distribution: AbstractOutputDistribution) -> Estimate:
+        return distribution.chance(self.value, above=False, or_equal=True)
+
+
+@final
+class _Density(Module):
+    """The probability density at a value."""
+
+    value: Scalar
+
+    def of_distribution(self, distribution: AbstractOutputDistribution) -> Estimate:
+        return distribution.density(self.value)
 
 
 def cdf(
     values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: AnyLines
 ) -> Float[Array, "n *shape"]:
     """The distribution function at some values, for each entry. Constants: `lines_through`."""
-    return _at_each(
-        lambda output, value: output.chance(value, above=False, or_equal=True).value, values, coefficients, constants
-    )
+    return _at_each(_AtMost, values, coefficients, constants)
 
 
 def pdf(
@@ -260,37 +265,26 @@ def pdf(
 ) -> Float[Array, "n *shape"]:
     """The probability density at some values, per unit of the output, for each entry. Constants: `lines_through`.
 
-    At an extremum of an output along a line its density is infinite, which shows as noise near the extremes.
+    At an extremum of an output along a line its density is infinite, which shows as noise where there are more than
+    three variables. It has no derivatives.
     """
-    return _at_each(OutputDistribution.density, values, coefficients, constants)
+    return _at_each(_Density, values, coefficients, constants)
 
 
-def _at_each(
-    function: Callable[[OutputDistribution, Array], Array], values: Array, coefficients: Array, lines: AnyLines
-) -> Array:
-    values = jnp.asarray(values, dtype=float)
-    if values.ndim != 1:
-        raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {values.shape}.")
+def _at_each(kind: Callable[[Any], Any], values: Array, coefficients: Array, lines: AnyLines) -> Array:
+    if np.ndim(values) != 1:
+        raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {np.shape(values)}.")
+    if is_traced((values, coefficients, lines)):
+        kinds = [kind(value) for value in jnp.asarray(values, dtype=float)]
+        return jnp.stack([statistic_of(one, coefficients, lines, by_lines_alone=True) for one in kinds])
+    kinds, (terms, *shape) = [kind(value) for value in np.asarray(values, dtype=float).tolist()], coefficients.shape
+    rows = np.asarray(coefficients).reshape(terms, -1).T
+    known = jax.tree.map(np.asarray, lines).for_one_of(len(rows))
 
-    def every(row: Float[Array, " terms"], tail_of: TailOf) -> Float[Array, " n"]:
-        return jax.lax.map(lambda value: function(OutputDistribution(row, tail_of), value), values)
+    def along(row: Float[np.ndarray, " terms"]) -> list[float]:
+        if not np.isfinite(row).all():
+            return [np.nan] * len(kinds)
+        distribution = DistributionByLines(row, known)
+        return [float(one.of_distribution(distribution).value) for one in kinds]
 
-    rows = coefficients.reshape(len(coefficients), -1)
-    return by_lines(every, rows, lines.for_one_of(rows.shape[1])).reshape(len(values), *coefficients.shape[1:])
-
-
-def together(
-    statistics: Sequence[tuple[AbstractStatistic, Float[Array, "terms ..."]]], constants: Constants
-) -> list[Float[Array, "..."] | None]:
-    """The values of statistics that share one loop, which is compiled as fast as for one of them; None for the rest."""
-    alike: dict[tuple, list[int]] = {}
-    for i, (kind, coefficients) in enumerate(statistics):
-        if isinstance(kind, AbstractTail):
-            alike.setdefault((jax.tree.structure(kind), coefficients.shape), []).append(i)
-    values: list[Array | None] = [None] * len(statistics)
-    for places in alike.values():
-        if len(places) > 1:
-            kinds, terms = zip(*(statistics[i] for i in places), strict=True)
-            for i, value in zip(places, tails_together(kinds, terms, constants.of(kinds[0])), strict=True):
-                values[i] = value
-    return values
+    return jax_array(np.array(list(in_order(along, rows))).reshape(len(rows), len(kinds)).T.reshape(-1, *shape))

@@ -111,7 +111,7 @@ def allocate(
         print(al.allocate(stack, {"housing": (1.0, 0.05), "plate": (0.5, 0.02)}, "gap", lower=0.0, upper=0.6))
 
     - `stack`: an `Assembly` or another `AlgebraicSystem` whose dimensions are `Toleranced`, as they are today. Its
-      decisions are chosen with the tolerances;
+      decisions, such as nominal values, are chosen with the tolerances;
     - `costs`: by dimension, `(fixed, slope)`: a part costs `fixed + slope / half-width of its zone`. Dimensions without
       a cost keep their tolerances. The middle of a zone stays where it is; of a zone on one side of its nominal value,
       such as +0.1/-0, the limit near this stays. So does the capability of each process (`cp`, `cpk`);
@@ -134,9 +134,13 @@ def allocate(
         numbers = real_array(f"allocate: costs of '{name}'", pair)
         if numbers.shape != (2,) or not np.isfinite(numbers).all() or numbers[1] <= 0:
             raise refusal(f"allocate: costs of '{name}'", expected, pair)
-        dimension = dimensions[name]
-        if not isinstance(dimension, Toleranced) or dimension != dimension.initial():
-            expected = "an al.Toleranced dimension without decisions, such as al.toleranced('40 ±0.1')"
+    for name, dimension in dimensions.items():
+        is_toleranced, at_start = isinstance(dimension, Toleranced), dimension.initial()
+        if name in costs and not (is_toleranced and _is_known(dimension, at_start)):
+            expected = "an al.Toleranced dimension of which at most the nominal value of a ± tolerance is decided"
+            raise refusal(f"allocate: '{name}'", expected, dimension)
+        if not is_toleranced and dimension != at_start:
+            expected = "an al.Toleranced dimension where something is decided, al.Toleranced(al.Decision(...), ...)"
             raise refusal(f"allocate: '{name}'", expected, dimension)
     check_limits("allocate", lower, upper)
     toleranced = {name: each for name, each in dimensions.items() if isinstance(each, Toleranced)}
@@ -145,13 +149,15 @@ def allocate(
     (first, *others) = (fixed + slope / _half_width(name, sought[name]) for name, (fixed, slope) in costs.items())
     cost = sum(others, start=first)
     costed = Problem(decided, minimize=cost)
-    nominals = {name: float(each.parameters["nominal"]) for name, each in toleranced.items()}
+    # A zone is told about its nominal value of today, unless that is decided.
+    nominals = {name: toleranced[name].parameters["nominal"] for name in toleranced}
+    chosen = {f"{name}.{side}" for name in costs for side in _SIDES}
 
     def tolerances(vector: Float[np.ndarray, " n"], solution: Solution | None = None) -> Tolerances:
         at = costed.placements.named(vector)
         made = with_decisions(decided, lambda name, _: at[name])
         zones = {name: _zone(placements(made).distributions[name], nominal) for name, nominal in nominals.items()}
-        others = {name: np.asarray(number) for name, number in at.items() if name.rpartition(".")[0] not in dimensions}
+        others = {name: np.asarray(number) for name, number in at.items() if name not in chosen}
         analysis = tolerance_analysis(made, output, lower=lower, upper=upper)
         return Tolerances(zones, others, value_at(cost, costed, vector), analysis, solution)
 
@@ -181,18 +187,26 @@ def allocate(
     return Allocation(output, float(lower), float(upper), cpk, today, *answers.values(), failed=failed)
 
 
+def _is_known(dimension: Toleranced, at_start: AbstractDistribution) -> bool:
+    """Whether nothing is decided, or the nominal value alone of a zone about it."""
+    moved = dimension.with_fields(parameters=dimension.parameters | {"nominal": at_start.parameters["nominal"]})
+    return dimension == at_start or ("tolerance" in dimension.parameters and moved == at_start)
+
+
 def _decided(dimension: Toleranced) -> Toleranced:
     """The dimension with the width of its zone to be chosen: about its middle, or from a limit that does not lie beyond
     the nominal value.
     """
+    nominal = dimension.parameters["nominal"]
     sides = {name: float(width) for name, width in dimension.parameters.items() if name in _SIDES}
     capability = {name: each for name, each in dimension.parameters.items() if name not in (*_SIDES, "nominal")}
-    low, high = map(float, dimension.limits())
+    low, high = map(float, dimension.initial().limits())
     width, still = high - low, [name for name, distance in sides.items() if distance <= 0]
     if not still:
-        chosen = {"nominal": (low + high) / 2, "tolerance": _sought(width / 2)}
+        middle = nominal if "tolerance" in sides else (low + high) / 2
+        chosen = {"nominal": middle, "tolerance": _sought(width / 2)}
     else:
-        chosen = {"nominal": dimension.parameters["nominal"], **sides}
+        chosen = {"nominal": nominal, **sides}
         moved = "plus" if still == ["minus"] else "minus"
         chosen[moved] = _sought(width, -sides[still[0]])
     return dimension.with_fields(parameters=Toleranced(**chosen, **capability).parameters)
@@ -209,10 +223,11 @@ def _half_width(name: str, dimension: Toleranced) -> Expression:
     return 0.5 * (value(f"{name}.plus") + value(f"{name}.minus"))
 
 
-def _zone(dimension: AbstractDistribution, nominal: float) -> tuple[float, float]:
-    """The distances of both limits of a zone from the nominal value of the drawing: minus, plus."""
+def _zone(dimension: AbstractDistribution, nominal: Any) -> tuple[float, float]:
+    """The distances of both limits of a zone from the nominal value, that of the drawing or one that was decided."""
     assert isinstance(dimension, Toleranced)
     low, high = map(float, dimension.limits())
+    nominal = float(dimension.parameters["nominal"] if isinstance(nominal, Decision) else nominal)
     return nominal - low, high - nominal
 
 

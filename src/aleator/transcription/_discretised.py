@@ -111,20 +111,23 @@ class Scenarios(NamedTuple):
 def germ_box(problem: Problem) -> Float[np.ndarray, "variables 2"]:
     """The ends of each germ variable, between which realisations are searched.
 
-    Raises `ProblemError` if a variable is unbounded.
+    Raises `ProblemError` if a variable is unbounded, or correlated.
     """
-    ranges = dict[str, tuple[float, float]]()
-    for place, distribution in problem.placements.distributions.items():
-        germs = distribution.germs(place)
-        is_alone = distribution.dependence is None
-        ranges |= {name: distribution.reach() if is_alone else germ.support() for name, germ in germs.items()}
+    distributions = problem.placements.distributions.items()
+    limits = ", ".join(dict.fromkeys(repr(one.name) for one in problem.constraints if is_worst_case(one)))
+    if correlated := [place for place, distribution in distributions if distribution.dependence is not None]:
+        raise ProblemError(
+            f"worst_case of {limits}: {', '.join(map(repr, correlated[:5]))} are correlated, and the search moves each "
+            "variable by itself. The worst system is that of independent ones, for any values within the bounds may "
+            "meet: limit it in a problem without correlations, or take probability=0.999 instead."
+        )
+    ranges = {name: one.reach() for place, one in distributions for name in one.germs(place)}
     unbounded = [name for name, ends in ranges.items() if not np.all(np.isfinite(ends))]
     if unbounded:
-        limits = dict.fromkeys(one.name for one in problem.constraints if is_worst_case(one))
         raise ProblemError(
-            f"worst_case of {', '.join(map(repr, limits))}: {', '.join(map(repr, unbounded[:5]))} can take values "
-            "without bound, of which none is the worst; use bounded distributions such as Uniform or Beta that are "
-            "not correlated, al.Toleranced of a known capability, whose zone counts, or probability=0.999 instead."
+            f"worst_case of {limits}: {', '.join(map(repr, unbounded[:5]))} can take values without bound, of which "
+            "none is the worst; use bounded distributions such as Uniform or Beta, al.Toleranced of a known "
+            "capability, whose zone counts, or probability=0.999 instead."
         )
     return np.array(list(ranges.values()), dtype=float).reshape(-1, 2)
 

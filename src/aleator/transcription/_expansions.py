@@ -36,7 +36,7 @@ from aleator.expansion import (
     mean_squares,
     relative_error,
 )
-from aleator.statistics import AbstractStatistic, AbstractTail, Constants, Mean, Std, together
+from aleator.statistics import AbstractStatistic, AbstractTail, Constants, Mean, Std
 from aleator.uncertainty import named_numbers
 
 # A derivative that varies by less than this part of itself, or of how its output does, does not vary.
@@ -80,12 +80,9 @@ class ExpansionScope(AbstractScope):
         return tuple(blocks), tuple(taken)
 
     def _take_together(self, expressions: tuple[Expression, ...]) -> None:
-        """Take those statistics of expressions now that share a loop, for where they are evaluated, or an equation."""
+        """Take those statistics of expressions now that share an equation."""
         every = (atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic))
         atoms = [atom for atom in every if _which(atom) not in self.known]
-        statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self.constants)
-        pairs = zip(atoms, statistics, strict=True)
-        self.known |= {_which(one): values for one, values in pairs if values is not None}
         alike: dict[Any, dict[Any, list[Statistic]]] = {}
         for atom in atoms:
             if len(atom.functionals) == 1 and atom.kind.preparation is None and not jax.tree.leaves(atom.kind):

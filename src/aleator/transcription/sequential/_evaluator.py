@@ -29,7 +29,7 @@ from aleator.design import (
 )
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
-from aleator.statistics import AbstractTail, Constants, prepare_sloped, sloped
+from aleator.statistics import AbstractTail, Constants, sloped
 from aleator.transcription._abstract import Meaning, Remembered
 from aleator.transcription._discretised import Discretised
 from aleator.transcription._expansions import Terms, scope_from, seen, simulated, tails_in
@@ -255,7 +255,7 @@ COMBINE = Compiled(_combine, use=Use.BRIEF)
 class Tails:
     """The statistics of tails in a problem, which are computed between its programs.
 
-    They follow from coefficients alone, by programs that all problems share, and entries of a path are independent.
+    They follow from coefficients alone, by NumPy, and entries of a path are independent.
 
     - `which`: the functional of each among those of the problem.
     """
@@ -282,11 +282,9 @@ class Tails:
         slopes = [np.sum(one.slopes * along, axis=1) for one, along in zip(every, tangents, strict=True)]
         return tuple(jax_array(one.values) for one in every), tuple(map(jax_array, slopes))
 
-    def prepared(self, share: Any) -> Any:
-        """Begin to compile what is called, for the shapes of a part's share; the shapes of the result."""
+    def shapes(self, share: Any) -> Any:
+        """The shapes of the result, for those of a part's share."""
         every, along = ([own.coefficients[i] for i in self.which] for own in (share.terms, share.slopes))
-        for kind, terms in zip(self.kinds, every, strict=True):
-            prepare_sloped(kind, terms.shape, self.constants.of(kind))
         shapes = [one.shape[1:] for one in every], [(one.shape[0], *one.shape[2:]) for one in along]
         return tuple(tuple(jax.ShapeDtypeStruct(shape, float) for shape in some) for some in shapes)
 
@@ -323,7 +321,7 @@ class Evaluator:
         meanwhile()
         if self._combine is not None and share is not None:
             *_, terms, slopes = zip(*[share] * len(self._programs), strict=True)
-            self._combine.prepare((terms, slopes, self._tails.prepared(share), jax_array(decisions)))
+            self._combine.prepare((terms, slopes, self._tails.shapes(share), jax_array(decisions)))
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Evaluated:
         return self._remembered(decisions)
