@@ -71,8 +71,6 @@ def test_units_of_objective_constraints_and_decisions_change_neither_answer_nor_
     assert solution.objective / cost == pytest.approx(5 / 9, rel=1e-6)
     assert solution.constraints[0].values[0] / length == pytest.approx(1.0, abs=1e-6)
     assert solution.constraints[1].values[0] / length == pytest.approx(0.0, abs=1e-5)
-    if solver is SLSQP:
-        return  # it takes thousands of evaluations to find that nothing is feasible
     # A way of one cannot be had of two that are at most a third.
     broken = al.solve(shares(length, force, cost, most=1 / 3), solver, throw=False)
     assert broken.status is al.Status.INFEASIBLE

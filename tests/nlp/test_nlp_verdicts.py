@@ -44,7 +44,8 @@ def test_units_change_no_verdict(solver, part, factor):
     np.testing.assert_allclose(solved.point / units, [1, 4.7429994, 3.8211503, 1.3794082], rtol=1e-4)
     # HS71 with a product of at least 1000, which numbers up to 5 whose squares sum to 40 do not have.
     broken = solver.solve(rescaled(problems.hs71(product_at_least=1000.0), **{part: factor}))
-    assert broken.status is Status.INFEASIBLE
+    # SLSQP ends anywhere, and `al.solve` tells by another search that nothing is feasible.
+    assert broken.status is (Status.FAILED if isinstance(solver, Slsqp) else Status.INFEASIBLE)
 
 
 def wild(scale, size):

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from aleator.nlp._program import Evaluation, NonlinearProgram, dense_rows
+from aleator.nlp._matrices import dense_rows
+from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._solver import AbstractSolver, Status
 from aleator.nlp._verdict import HELD
 

@@ -1,9 +1,7 @@
-"""One evaluation of the model per point, whatever a solver requests, with its failures recorded; second derivatives by
-differences of first ones, where an approximation gets no further.
-"""
+"""One evaluation of the model per point, whatever a solver requests, with its failures recorded."""
 
 import contextlib
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, final
 
@@ -11,7 +9,8 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.parallel import noting
-from aleator.nlp._program import Evaluation, NonlinearProgram, checked_sparse, entries, with_entries
+from aleator.nlp._matrices import checked_sparse, entries, with_entries
+from aleator.nlp._program import Evaluation, NonlinearProgram
 
 
 @final
@@ -35,6 +34,9 @@ _MOST_FAILURES = 60
 _RECENT = 20
 # Finite points that are remembered.
 _REMEMBERED = 16
+# So many points, one of them so many typical magnitudes away from the first, show that nothing curves; slopes that
+# differ by less than this part of themselves, or of the largest, are the same.
+_POINTS, _AWAY, _SAME, _NOTHING = 10, 1e-2, 1e-12, 1e-13
 
 
 @final
@@ -56,10 +58,9 @@ class Evaluations:
         self._shapes = ((variables,), (constraints,), (constraints, variables))
         self._sparsity: Any = None if isinstance(program.sparsity, np.ndarray) else program.sparsity
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
-        self._kept: dict[bytes, Evaluation] = {}
         self._failed = b""
-        self._failures = 0
-        self._recent: deque[bool] = deque(maxlen=_RECENT)
+        self._first: tuple[np.ndarray, np.ndarray] | None = None
+        self._is_curved = self._went_far = False
         self.visited: list[tuple[float, float]] = []
         self.halt: BaseException | None = None
         self.failed_at: np.ndarray | None = None
@@ -73,16 +74,10 @@ class Evaluations:
         Raises `HaltedError` if an exception ended the solve, now or before.
         """
         key = x.tobytes()
-        if self.halt is not None or (key not in self._points and key not in self._kept):
+        if self.halt is not None or key not in self._points:
             self.asked(lambda: self._compute(key, x))
-        self.last = self._kept[key] if key in self._kept else self._points[key]
-        if key == self._failed:
-            self.failed_at = x.copy()
+        self.last = self._points[key]
         return self.last
-
-    def keep(self, x: np.ndarray, evaluation: Evaluation) -> None:
-        """Answer with this evaluation wherever `x` is asked for from now on."""
-        self._kept[x.tobytes()] = evaluation
 
     def asked(self, question: Callable[[], Any]) -> Any:
         """Call the model for something else, such as second derivatives. Raises `HaltedError` as `at` does."""
@@ -97,7 +92,16 @@ class Evaluations:
     @property
     def failed_recently(self) -> bool:
         """Whether one of the latest points could not be evaluated."""
-        return not all(self._recent)
+        return any(np.isnan(objective) for objective, _ in self.visited[-_RECENT:])
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether enough points were seen, and all of them had the same slopes, as those of a linear program.
+
+        Approximations of second derivatives learn from changes of slopes: where there are none, every step remains as
+        short as the first.
+        """
+        return self._went_far and not self._is_curved and len(self.visited) >= _POINTS
 
     def finite_at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x` where the model is finite.
@@ -122,10 +126,10 @@ class Evaluations:
         program = self._program
         self.visited.append((np.nan, np.nan))
         evaluation = self._checked(program.evaluate(x.copy()))
-        finite = evaluation.is_finite
-        if finite:
+        if evaluation.is_finite:
             excess = program.limits.excess(evaluation.constraints) / program.constraint_scale
             self.visited[-1] = evaluation.objective, float(excess.max(initial=0.0))
+            self._note_slopes(x, evaluation)
         else:
             # One failure at most is remembered: they must not displace points to which a solver steps back.
             self._points.pop(self._failed, None)
@@ -133,10 +137,18 @@ class Evaluations:
         self._points[key] = evaluation
         if len(self._points) > _REMEMBERED:
             self._points.popitem(last=False)
-        self._failures = 0 if finite else self._failures + 1
-        self._recent.append(finite)
-        if self._failures >= _MOST_FAILURES:
+        latest = self.visited[-_MOST_FAILURES:]
+        if len(latest) == _MOST_FAILURES and np.isnan(latest).all():
             raise NowhereFiniteError(f"not finite at {_MOST_FAILURES} points in a row")
+
+    def _note_slopes(self, x: np.ndarray, evaluation: Evaluation) -> None:
+        if self._is_curved:
+            return
+        slopes = np.append(evaluation.gradient, entries(evaluation.jacobian))
+        start, first = self._first = self._first or (x.copy(), slopes)
+        allowed = _SAME * np.abs(first) + _NOTHING * np.abs(first).max(initial=0.0)
+        self._is_curved = bool(np.any(np.abs(slopes - first) > allowed))
+        self._went_far |= bool(np.any(np.abs(x - start) > _AWAY * self._program.variable_scale))
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
         # Copies, because a model may reuse its arrays.
@@ -150,69 +162,3 @@ class Evaluations:
                 f"Expected gradient, constraints and jacobian of shapes {self._shapes}. Received {shapes}."
             )
         return Evaluation(float(evaluation[0]), *arrays)
-
-
-# Most variables for which second derivatives are taken from differences of first ones, two evaluations for each.
-MOST_DIFFERENCED = 30
-# Length of a step in sizes of the variables.
-_STEP = 1e-4
-# So many points, one of them so many typical magnitudes away from the first, show that nothing curves.
-_POINTS, _AWAY = 10, 1e-2
-# Slopes that differ by less than this part of themselves, or of the largest, are the same.
-_SAME, _NOTHING = 1e-12, 1e-13
-
-
-@final
-class Straightness:
-    """Whether all slopes seen so far were the same, as those of a linear program.
-
-    Approximations of second derivatives learn from changes of slopes: where there are none, every step remains as
-    short as the first.
-    """
-
-    def __init__(self) -> None:
-        self._points, self._far, self._curved = 0, False, False
-        self._first: tuple[np.ndarray, np.ndarray] | None = None
-
-    def note(self, z: np.ndarray, user: Evaluation) -> None:
-        """Take a further point into account, shape (n_free,), with its evaluation."""
-        if self._curved:
-            return
-        slopes = np.concatenate([user.gradient, np.ravel(entries(user.jacobian))])
-        start, first = self._first = self._first or (z, slopes)
-        allowed = _SAME * np.abs(first) + _NOTHING * np.abs(first).max(initial=0.0)
-        self._curved = bool(np.any(np.abs(slopes - first) > allowed))
-        self._points += 1
-        self._far |= bool(np.any(np.abs(z - start) > _AWAY))
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether enough points were seen, and all of them had the same slopes."""
-        return not self._curved and self._far and self._points >= _POINTS
-
-
-def changes_of(
-    slope: Callable[[np.ndarray], np.ndarray],
-    z: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-    directions: np.ndarray,
-) -> np.ndarray:
-    """The derivatives of slopes along directions, by central differences, by one-sided ones beside bounds.
-
-    `z`: shape (n,), with its `bounds`; `directions`: shape (n, k), of about the size of the variables; returns shape
-    (n, k). Raises `NotFiniteError` where the model has no value on either side.
-    """
-    size = np.maximum(1.0, np.abs(z))
-    columns = np.zeros(directions.shape)
-    for i, direction in enumerate(directions.T):
-        ends = []
-        for sign in (1, -1):
-            moved = np.clip(z + sign * _STEP * direction, *bounds)
-            with contextlib.suppress(NotFiniteError):
-                ends.append((moved, slope(moved)))
-        if not ends:
-            raise NotFiniteError
-        (above, first), (below, second) = ends if len(ends) == 2 else (*ends, (z, slope(z)))
-        length = float(((above - below) / size) @ (direction / size)) / float((direction / size) @ (direction / size))
-        columns[:, i] = (first - second) / length if length else 0.0
-    return columns

@@ -11,12 +11,12 @@ from typing_extensions import override
 
 from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._program import Pattern
+from aleator.nlp._matrices import Pattern
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
 from aleator.nlp._verdict import HELD, Answer
 
-Answered = Callable[[list[np.ndarray]], Sequence[np.ndarray]]
+Answered = Callable[[list[np.ndarray]], Sequence[Any]]
 
 
 # Read when the linear algebra of CasADi's wheel is loaded.
@@ -41,46 +41,36 @@ def _load() -> None:
             del os.environ[_THREADS]
 
 
-def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
-    """The functions that IPOPT calls: `f`, `grad_f`, and `g`, `jac_g`, `hess_lag` if the program has them.
-
-    CasADi keeps no references to them: keep them alive as long as the solver.
+def _functions(casadi: Any, scaled: ScaledProgram) -> tuple[dict[str, Any], dict[str, Any], tuple[Any, ...]]:
+    """The program and its derivatives as IPOPT takes them, and the callbacks, to which CasADi keeps no references: keep
+    them alive as long as the solver.
     """
-    n, m = scaled.size, scaled.rows
-    point, number = casadi.Sparsity.dense(n, 1), casadi.Sparsity.dense(1, 1)
-    nothing = casadi.Sparsity.dense(0, 0)
-    callback = _callback_class(casadi)
+    n, m, callback = scaled.size, scaled.rows, _callback_class(casadi)
+    # A dense sparsity is a guess, and IPOPT takes what it is told.
+    pattern = Pattern(np.ones((m, n)) if isinstance(scaled.sparsity, np.ndarray) else scaled.sparsity)
+    point, number, rows = casadi.Sparsity.dense(n, 1), casadi.Sparsity.dense(1, 1), casadi.Sparsity.dense(m, 1)
+    entries = casadi.Sparsity.triplet(m, n, pattern.rows.tolist(), pattern.columns.tolist())
 
-    def parts(*names: str) -> Answered:
-        return lambda given: [np.ravel(getattr(scaled.evaluate(given[0]), name)) for name in names]
+    def evaluated(given: list[np.ndarray]) -> Sequence[Any]:
+        here = scaled.evaluate(given[0])
+        return here.objective, here.gradient, here.constraints, pattern.entries(here.jacobian)
 
-    found = {
-        "f": callback("objective", [point], [number], parts("objective")),
-        "grad_f": callback("gradient", [point, nothing], [number, point], parts("objective", "gradient")),
+    z, nothing = casadi.MX.sym("z", n), casadi.MX.sym("p", 0, 0)
+    evaluate = callback("evaluate", [point], [number, point, rows, entries], evaluated)
+    objective, gradient, constraints, jacobian = evaluate(z)
+    derivatives = {
+        "grad_f": casadi.Function("grad_f", [z, nothing], [objective, gradient]),
+        "jac_g": casadi.Function("jac_g", [z, nothing], [constraints, jacobian]),
     }
-    if m:
-        rows = casadi.Sparsity.dense(m, 1)
-        # A dense sparsity is a guess, and IPOPT takes what it is told.
-        is_dense = isinstance(scaled.sparsity, np.ndarray)
-        pattern = Pattern(np.ones((m, n)) if is_dense else scaled.sparsity)
-        sparsity = casadi.Sparsity.triplet(m, n, pattern.rows.tolist(), pattern.columns.tolist())
-
-        def jacobian(given: list[np.ndarray]) -> Sequence[np.ndarray]:
-            evaluation = scaled.evaluate(given[0])
-            return evaluation.constraints, pattern.entries(evaluation.jacobian)
-
-        found["g"] = callback("constraints", [point], [rows], parts("constraints"))
-        found["jac_g"] = callback("jacobian", [point, nothing], [rows, sparsity], jacobian)
     if scaled.curved is not None:
         # The lower triangle by rows is the upper one by columns, which CasADi expects.
         upper = casadi.Sparsity(n, n, scaled.curved.indptr.tolist(), scaled.curved.indices.tolist())
-        multipliers = casadi.Sparsity.dense(m, 1)
 
-        def hessian(given: list[np.ndarray]) -> Sequence[np.ndarray]:
+        def curved(given: list[np.ndarray]) -> Sequence[Any]:
             return (scaled.hessian(given[0], float(given[2][0]), given[3]),)
 
-        found["hess_lag"] = callback("hessian", [point, nothing, number, multipliers], [upper], hessian)
-    return found
+        derivatives["hess_lag"] = callback("hessian", [point, nothing.sparsity(), number, rows], [upper], curved)
+    return {"x": z, "f": objective, "g": constraints}, derivatives, (evaluate, derivatives.get("hess_lag"))
 
 
 def _callback_class(casadi: Any) -> Any:
@@ -164,29 +154,21 @@ class Ipopt(AbstractLocalSolver):
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         import casadi
 
-        z = casadi.MX.sym("z", scaled.size)
-        # CasADi keeps no references to the callbacks, so this must outlive the solver.
-        callbacks = callbacks_of(casadi, scaled)
-        program = {"x": z} | {name: callbacks[name](z) for name in ("f", "g") if name in callbacks}
-        derivatives = {name: callbacks[name] for name in ("grad_f", "jac_g", "hess_lag") if name in callbacks}
-        options = self._options(scaled, warm=multipliers is not None) | derivatives
+        program, derivatives, callbacks = _functions(casadi, scaled)
         _load()
+        options = self._options(scaled, warm=multipliers is not None) | derivatives
         solver = casadi.nlpsol("ipopt", "ipopt", program, options)
         arguments = {"x0": scaled.start, "lbx": scaled.lower, "ubx": scaled.upper}
-        if scaled.rows:
-            # Equalities that outnumber the variables, which IPOPT would refuse, are relaxed within the tolerance.
-            equal = scaled.constraint_lower == scaled.constraint_upper
-            slack = np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
-            arguments |= {"lbg": scaled.constraint_lower - slack, "ubg": scaled.constraint_upper + slack}
+        arguments |= dict(zip(("lbg", "ubg"), scaled.relaxed(self.aim), strict=True))
         if multipliers is not None:
             # Those of the bounds make the Lagrangian stationary at the start.
             start = scaled.evaluate(scaled.start)
             remainder = -(start.gradient + multipliers @ start.jacobian)
             allowed = np.where(remainder > 0, np.isfinite(scaled.upper), np.isfinite(scaled.lower))
-            arguments |= {"lam_x0": np.where(allowed, remainder, 0.0)}
-            arguments |= {"lam_g0": multipliers} if scaled.rows else {}
+            arguments |= {"lam_x0": np.where(allowed, remainder, 0.0), "lam_g0": multipliers}
         found = {name: np.array(part.full(), dtype=float).ravel() for name, part in solver(**arguments).items()}
         stats = solver.stats()
+        del callbacks
         status = str(stats["return_status"])
         return Answer(
             claim=_CLAIMS.get(status, Status.FAILED),

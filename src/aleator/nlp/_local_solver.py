@@ -9,12 +9,11 @@ import numpy as np
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.errors import ProblemError
 from aleator.nlp._certificate import kinks_at
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
+from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status
 from aleator.nlp._verdict import Answer, Verdict, has_run_away, judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
@@ -26,8 +25,6 @@ _LEFT_OVER, _WORTH_SHARING = 4, 50
 _AIM = 1e-2
 # No solver gets closer than this.
 _LEAST_AIM = 1e-13
-# Scales that differ by no more than this factor are equally good.
-_SAME_SCALE = 10.0
 
 
 @dataclass(frozen=True)
@@ -38,8 +35,8 @@ class AbstractLocalSolver(AbstractSolver):
     - `max_iterations`: the limit of iterations, restarts included.
 
     If the library ends at a point that is not within the tolerance in scales taken there, or from which the objective
-    still falls noticeably, it is restarted from that point in those scales; more restarts follow only if the scales
-    then differ considerably, or with second derivatives by differences where an approximation got no further.
+    still falls noticeably, it is restarted from that point in those scales; more restarts follow only with second
+    derivatives by differences where an approximation got no further.
     """
 
     max_iterations: int = 500
@@ -63,22 +60,20 @@ class AbstractLocalSolver(AbstractSolver):
     ) -> Outcome:
         began = time.perf_counter()
         self.require()
-        start = program.start if start is None else checked("start", start, program.start.shape)
-        if multipliers is not None:
-            multipliers = checked("multipliers", multipliers, program.constraint_lower.shape)
-        scaled = ScaledProgram(program, start)
+        scaled = ScaledProgram(program, program.start if start is None else start)
         with scaled.evaluations.noting_interrupts():
-            answer, verdict = self._judged(scaled, multipliers)
-            if verdict.status is Status.FAILED:
-                answer, verdict = self._with_kinks_held(program, scaled, answer, verdict)
+            verdict = self._judged(scaled, multipliers)
+            if verdict.answer.claim is Status.FAILED:
+                verdict = self._with_kinks_held(program, scaled, verdict)
         seconds = time.perf_counter() - began
-        rows, bounds = scaled.to_user(verdict.multipliers, verdict.user)
-        active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
+        answer, user = verdict.answer, verdict.user
+        rows, bounds = scaled.to_user(verdict.multipliers, user)
+        active, active_bounds = scaled.active(answer.point, user, verdict.multipliers)
         objectives, violations = np.array(scaled.evaluations.visited).reshape(-1, 2).T
         return Outcome(
-            status=verdict.status,
-            point=scaled.unscaled(verdict.point),
-            evaluation=verdict.user,
+            status=answer.claim,
+            point=scaled.unscaled(answer.point),
+            evaluation=user,
             multipliers=rows,
             bound_multipliers=bounds,
             **dataclasses.asdict(verdict.certificate),
@@ -86,11 +81,11 @@ class AbstractLocalSolver(AbstractSolver):
             evaluations=len(objectives),
             seconds=seconds,
             solver=self.name,
-            message=verdict.message,
+            message=f"{verdict.reason} (the solver said: {answer.message})" if verdict.reason else answer.message,
             active=active,
             active_bounds=active_bounds,
             sizes=scaled.every_scale,
-            failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
+            failed_at=scaled.evaluations.failed_at if answer.claim is Status.EVALUATION_FAILED else None,
             strayed=verdict.strayed,
             visited=Searched(self.name, objectives, violations, answer.message, seconds),
         )
@@ -103,13 +98,13 @@ class AbstractLocalSolver(AbstractSolver):
         `HaltedError` and `KeyboardInterrupt`.
         """
 
-    def _judged(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> tuple[Answer, Verdict]:
-        """The answer and its verdict, for every way in which a run ends, or raise the model's exception."""
+    def _judged(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Verdict:
+        """The verdict for every way in which a run ends, or the model's exception."""
         answer = Answer(Status.FAILED, scaled.start, message="stopped by the model")
         try:
             answer = self._rounds(scaled, multipliers)
             if scaled.evaluations.halt is None:
-                return answer, judge(scaled, answer, self.tolerance)
+                return judge(scaled, answer, self.tolerance)
         except HaltedError:
             pass
         except KeyboardInterrupt as interrupt:
@@ -122,38 +117,29 @@ class AbstractLocalSolver(AbstractSolver):
             answer = Answer(Status.EVALUATION_FAILED, scaled.start, iterations=answer.iterations, message=message)
         elif halt is not None:
             raise halt
-        return answer, judge(scaled, answer, self.tolerance)
+        return judge(scaled, answer, self.tolerance)
 
-    def _with_kinks_held(
-        self, program: NonlinearProgram, scaled: ScaledProgram, answer: Answer, verdict: Verdict
-    ) -> tuple[Answer, Verdict]:
-        """The optimum along the kinks at an answer, if that is one in all; else the answer unchanged.
+    def _with_kinks_held(self, program: NonlinearProgram, scaled: ScaledProgram, verdict: Verdict) -> Verdict:
+        """The optimum along the kinks at an answer, if that is one in all; else the verdict unchanged.
 
         A function may have a kink, as a standard deviation has where it becomes zero: at a bound, or in a limit.
         Derivatives there say nothing of those beside it, and the library makes no more progress. So the variables at a
         bound stay there, and none moves across a kink of a row.
         """
-        kinks = kinks_at(scaled, verdict.point)
-        _, at_bound = scaled.active(verdict.point, verdict.user, verdict.multipliers)
-        point = scaled.unscaled(verdict.point)
-        at_bound &= (point == program.lower) | (point == program.upper)
-        if kinks is not None:
-            along = _along(program, kinks.normals, point)
-        elif at_bound.any() and not at_bound.all():
-            lower, upper = (np.where(at_bound, point, bounds) for bounds in (program.lower, program.upper))
-            along = dataclasses.replace(program, lower=lower, upper=upper)
-        else:
-            return answer, verdict
-        held = ScaledProgram(along, point)
-        further, _ = self._judged(held, None)
+        answer, point = verdict.answer, scaled.unscaled(verdict.answer.point)
+        if not isinstance(scaled.sparsity, np.ndarray):
+            return verdict
+        kinks = kinks_at(scaled, answer.point)
+        at_bound = ((point == program.lower) | (point == program.upper)) & (program.lower < program.upper)
+        normals = np.eye(point.size)[at_bound] if kinks is None else kinks.normals
+        if not len(normals):
+            return verdict
+        held = ScaledProgram(_along(program, normals, point), point)
+        further = self._judged(held, None).answer
         scaled.evaluations.visited += held.evaluations.visited
-        further = further._replace(
-            point=ScaledProgram(program, held.unscaled(further.point)).start,
-            multipliers=None,
-            iterations=answer.iterations + further.iterations,
-        )
+        further = further._replace(multipliers=None, iterations=answer.iterations + further.iterations)
         again = judge(scaled, further, self.tolerance)
-        return (further, again) if again.status is Status.SOLVED else (answer, verdict)
+        return again if again.answer.claim is Status.SOLVED else verdict
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Minimise, and repeat from the answer in the scales taken there, until it is accepted in them."""
@@ -171,10 +157,14 @@ class AbstractLocalSolver(AbstractSolver):
             left = self.max_iterations - spent
             shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
             share = left - left // _LEFT_OVER if shared else left
-            ran_in, pattern = scaled.scales, scaled.sparsity
-            answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
+            pattern = scaled.sparsity
+            try:
+                answer = dataclasses.replace(self, max_iterations=share).minimise(scaled, multipliers)
+            except NotFiniteError:
+                message = "the model cannot be evaluated there"
+                answer = Answer(Status.EVALUATION_FAILED, scaled.start, message=message)
             spent += answer.iterations
-            answer = answer._replace(iterations=spent)
+            answer = answer._replace(point=np.array(answer.point, dtype=float), iterations=spent)
             if scaled.evaluations.halt is not None:
                 return answer
             if not scaled.user(answer.point).is_finite:
@@ -182,32 +172,16 @@ class AbstractLocalSolver(AbstractSolver):
             answer, stands = settle(scaled, answer, self.tolerance)
             if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
                 return answer
-            in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
-            sharper = (
-                (in_vain or tried)
-                and (scaled.straightness.is_shown or not has_run_away(scaled, answer.point))
-                and scaled.take_differences()
-            )
+            is_straight = scaled.evaluations.is_straight
+            in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or is_straight
+            is_near = is_straight or not has_run_away(scaled, answer.point)
+            sharper = (in_vain or tried) and is_near and scaled.take_differences()
             # A pattern that was outgrown says nothing of the scales.
             if not in_vain and scaled.sparsity is pattern:
-                if tried and not sharper and scaled.scales.is_near(ran_in, _SAME_SCALE):
+                if tried and not sharper:
                     return answer
                 tried = True
             multipliers = None if answer.multipliers is None else answer.multipliers.rows
-
-    def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """The library's answer. Raises `ProblemError` if it is no answer to this program."""
-        try:
-            answer = self.minimise(scaled, multipliers)
-        except NotFiniteError:
-            return Answer(Status.EVALUATION_FAILED, scaled.start, message="the model cannot be evaluated there")
-        point = np.array(answer.point, dtype=float)
-        if point.shape != scaled.start.shape:
-            raise ProblemError(
-                f"{type(self).__name__}.minimise: expected a point of shape {scaled.start.shape}, that of "
-                f"`scaled.start`; received shape {point.shape}."
-            )
-        return answer._replace(point=point)
 
 
 def _along(program: NonlinearProgram, normals: np.ndarray, point: np.ndarray) -> NonlinearProgram:

@@ -5,15 +5,16 @@ of the optimum: the excess depends on the design. A parabola through three rows 
 through the last rows before a jump the value there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from aleator.nlp._program import Evaluation, Hessian, Matrix, NonlinearProgram, SparseMatrix, with_entries
+from aleator.nlp._matrices import Matrix, SparseMatrix, spread, weighted_rows, with_entries
+from aleator.nlp._program import Evaluation, Hessian, NonlinearProgram
 
 
 class Peak(NamedTuple):
@@ -85,8 +86,11 @@ def extreme(places: Float[np.ndarray, " 3"], values: Float[np.ndarray, " 3"], si
 
 def with_peaks(program: NonlinearProgram, peaks: Sequence[Peak | End]) -> NonlinearProgram:
     """The program in which the middle rows of some peaks and ends limit these."""
-    middles, hessian = np.array([one.rows[1] for one in peaks]), program.hessian
-    mix = _Mix(peaks, program)
+    rows, sparsity, hessian = np.array([one.rows for one in peaks]), program.sparsity, program.hessian
+    middles = rows[:, 1]
+
+    def extremes(constraints: np.ndarray) -> list[Extreme]:
+        return [one.at(constraints) for one in peaks]
 
     def moved(constraints: np.ndarray, every: Sequence[Extreme]) -> np.ndarray:
         changed = constraints.copy()
@@ -95,91 +99,81 @@ def with_peaks(program: NonlinearProgram, peaks: Sequence[Peak | End]) -> Nonlin
 
     def evaluate(x: np.ndarray) -> Evaluation:
         own = program.evaluate(x)
-        every = [one.at(own.constraints) for one in peaks]
-        jacobian = mix.of(own.jacobian, np.concatenate([one.weights for one in every]))
+        every = extremes(own.constraints)
+        jacobian = _mixed(own.jacobian, rows, np.array([one.weights for one in every]), sparsity)
         return own._replace(constraints=moved(own.constraints, every), jacobian=jacobian)
 
     def values(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         assert program.values is not None
-        objectives, rows = program.values(points)
-        return objectives, np.stack([moved(own, [one.at(own) for one in peaks]) for own in rows])
+        objectives, constraints = program.values(points)
+        return objectives, np.stack([moved(own, extremes(own)) for own in constraints])
 
+    if isinstance(sparsity, np.ndarray):
+        sparsity = sparsity.copy()
+        sparsity[middles] = sparsity[rows].any(axis=1)
+    elif sparsity is not None:
+        sparsity = (_mixing(rows, np.ones(rows.shape), sparsity.shape[0]) @ sparsity).astype(bool)
+        sparsity.sort_indices()
     return replace(
         program,
         evaluate=evaluate,
-        sparsity=mix.sparsity,
-        hessian=None if hessian is None else _curved(program, hessian, peaks),
+        sparsity=sparsity,
+        hessian=None if hessian is None else _curved(program, hessian, rows, extremes),
         values=values if program.values else None,
     )
 
 
-@final
-class _Mix:
-    """Jacobians whose middle rows are weighted sums of three; `sparsity`: theirs."""
-
-    def __init__(self, peaks: Sequence[Peak | End], program: NonlinearProgram):
-        count, width, sparsity = len(program.constraint_lower), program.start.size, program.sparsity
-        self._rows = np.array([one.rows for one in peaks])
-        self.sparsity = sparsity
-        if isinstance(sparsity, np.ndarray):
-            self.sparsity = sparsity.copy()
-            self.sparsity[self._rows[:, 1]] = sparsity[self._rows].any(axis=1)
-        elif sparsity is not None:
-            others = np.setdiff1d(np.arange(count), self._rows[:, 1])
-            into, of = np.append(others, np.repeat(self._rows[:, 1], 3)), np.append(others, self._rows)
-            lengths = np.diff(sparsity.indptr)[of]
-            # The entries of all these rows one after the other, and of which row each is.
-            self._row = np.repeat(np.arange(len(of)), lengths)
-            self._entries = np.arange(len(self._row)) + (sparsity.indptr[of] - np.cumsum(lengths) + lengths)[self._row]
-            keys = into[self._row] * width + sparsity.indices[self._entries]
-            keys, self._into = np.unique(keys, return_inverse=True)
-            self._others, self.sparsity = len(others), _pattern(keys, (count, width))
-            self._count = len(keys)
-
-    def of(self, jacobian: Matrix, weights: Float[np.ndarray, " rows"]) -> Matrix:
-        """That of a Jacobian, with the weights of all peaks."""
-        if isinstance(jacobian, np.ndarray):
-            mixed = jacobian.copy()
-            mixed[self._rows[:, 1]] = np.einsum("pk,pkn->pn", weights.reshape(-1, 3), jacobian[self._rows])
-            return mixed
-        numbers = np.append(np.ones(self._others), weights)[self._row] * jacobian.data[self._entries]
-        return with_entries(self.sparsity, np.bincount(self._into, numbers, self._count))
+def _mixing(rows: Int[np.ndarray, "peaks 3"], weights: Float[np.ndarray, "peaks 3"], count: int) -> SparseMatrix:
+    """The square matrix that leaves all rows but the middle ones, which become weighted sums of three."""
+    others = np.setdiff1d(np.arange(count), rows[:, 1])
+    into, of = np.append(others, np.repeat(rows[:, 1], 3)), np.append(others, rows)
+    return scipy.sparse.csr_array((np.append(np.ones(len(others)), weights), (into, of)), shape=(count, count))
 
 
-def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> SparseMatrix:
-    """The sparsity with entries at `row * columns + column`, in order."""
-    ends = np.searchsorted(keys, np.arange(shape[0] + 1) * shape[1])
-    return scipy.sparse.csr_array((np.ones(len(keys), dtype=bool), keys % shape[1], ends), shape=shape)
+def _mixed(
+    jacobian: Matrix, rows: Int[np.ndarray, "peaks 3"], weights: Float[np.ndarray, "peaks 3"], sparsity: Matrix | None
+) -> Matrix:
+    """A Jacobian whose middle rows are weighted sums of three; `sparsity`: its own, if it is sparse."""
+    if not isinstance(jacobian, np.ndarray):
+        return spread(sparsity, _mixing(rows, weights, len(jacobian.indptr) - 1) @ jacobian)
+    mixed = jacobian.copy()
+    mixed[rows[:, 1]] = np.einsum("pk,pkn->pn", weights, jacobian[rows])
+    return mixed
 
 
-def _curved(program: NonlinearProgram, hessian: Hessian, every: Sequence[Peak | End]) -> Hessian:
+def _curved(
+    program: NonlinearProgram,
+    hessian: Hessian,
+    rows: Int[np.ndarray, "peaks 3"],
+    extremes: Callable[[np.ndarray], list[Extreme]],
+) -> Hessian:
     """Second derivatives with those of the peaks."""
-    size, peaks = program.start.size, [one for one in every if isinstance(one, Peak)]
+    count, size = program.constraint_lower.size, program.start.size
+    felt = np.ones((count, size), dtype=bool) if program.sparsity is None else program.sparsity
 
-    def keys_of(matrix: SparseMatrix) -> Int[np.ndarray, " entries"]:
-        return np.repeat(np.arange(size), np.diff(matrix.indptr)) * size + matrix.indices
+    def along(movings: Float[np.ndarray, "peaks 3"], matrix: Matrix) -> SparseMatrix:
+        """How each peak moves with the variables."""
+        places = np.repeat(np.arange(len(rows)), 3), rows.ravel()
+        return scipy.sparse.csr_array(
+            scipy.sparse.csr_array((movings.ravel(), places), shape=(len(rows), count)) @ matrix
+        )
 
-    def columns_of(one: Peak) -> Int[np.ndarray, " some"]:
-        if isinstance(program.sparsity, np.ndarray | None):
-            return np.arange(size)
-        return np.unique(program.sparsity[one.rows].indices)
+    def lower(bends: Float[np.ndarray, " peaks"], moving: SparseMatrix) -> SparseMatrix:
+        return scipy.sparse.tril(moving.T @ weighted_rows(bends, moving), format="csr")
 
-    lowers = [(columns_of(one), *np.tril_indices(len(columns_of(one)))) for one in peaks]
-    own = [columns[rows] * size + columns[others] for columns, rows, others in lowers]
-    keys = np.unique(np.concatenate([keys_of(hessian.sparsity), *own]))
-    sparsity = _pattern(keys, (size, size))
-    begun, *places = (np.searchsorted(keys, one) for one in (keys_of(hessian.sparsity), *own))
+    curved = lower(np.ones(len(rows)), along(np.ones(rows.shape), felt))
+    sparsity = (curved + hessian.sparsity).astype(bool)
+    sparsity.sort_indices()
 
     def evaluate(x: np.ndarray, weight: float, multipliers: np.ndarray) -> SparseMatrix:
-        here, of_rows, numbers = program.evaluate(x), multipliers.copy(), np.zeros(len(keys))
-        of_rows[[one.rows[1] for one in every]] = 0.0
-        for one in every:  # a straight line has one of two rows twice
-            np.add.at(of_rows, one.rows, multipliers[one.rows[1]] * one.at(here.constraints).weights)
-        for peak, (columns, rows, others), where in zip(peaks, lowers, places, strict=True):
-            one, multiplier = peak.at(here.constraints), multipliers[peak.rows[1]]
-            along = np.asarray(one.moving @ here.jacobian[peak.rows])[columns]
-            numbers[where] += multiplier * one.bend * along[rows] * along[others]
-        numbers[begun] += hessian.evaluate(x, weight, of_rows).data
-        return with_entries(sparsity, numbers)
+        here, of_rows, pushes = program.evaluate(x), multipliers.copy(), multipliers[rows[:, 1]]
+        every = extremes(here.constraints)
+        of_rows[rows[:, 1]] = 0.0
+        # A straight line has one of two rows twice.
+        np.add.at(of_rows, rows, pushes[:, None] * [one.weights for one in every])
+        moving = along(np.array([one.moving for one in every]), here.jacobian)
+        own = spread(sparsity, hessian.evaluate(x, weight, of_rows))
+        bent = spread(sparsity, lower(pushes * [one.bend for one in every], moving))
+        return with_entries(sparsity, own.data + bent.data)
 
     return Hessian(evaluate, sparsity)

@@ -1,23 +1,13 @@
-"""The nonlinear program: objective, constraints, bounds, derivatives and typical magnitudes; its matrices.
+"""The nonlinear program: objective, constraints, bounds, derivatives and typical magnitudes."""
 
-A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy loads a module when it is first used: programs of
-few variables never need the sparse one.
-"""
-
-import contextlib
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import NamedTuple, final
 
 import numpy as np
-import scipy
 
 from aleator._core.errors import ProblemError
-
-# SciPy's sparse arrays are hardly typed.
-SparseMatrix: TypeAlias = Any
-Matrix: TypeAlias = np.ndarray | SparseMatrix
+from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
 
 
 class Evaluation(NamedTuple):
@@ -105,7 +95,7 @@ class NonlinearProgram:
     - `breadth`: how many variables are tied from one point of time to the next, where the program is such a chain: the
       order in which sparse matrices are best factorised depends on it.
 
-    Raises `ProblemError` if shapes differ, bounds cross, scales are not positive or the start is not finite.
+    Raises `ProblemError` if shapes differ or bounds cross.
     """
 
     evaluate: Callable[[np.ndarray], Evaluation]
@@ -139,22 +129,12 @@ class NonlinearProgram:
         if self.hessian is not None:
             check_sparsity("hessian", curved := self.hessian.sparsity, (size, size))
             if np.any(curved.indices > rows_of_entries(curved)):
+                raise ProblemError("Expected the lower triangle of `hessian`; received entries above its diagonal.")
+        for name, (low, high) in (("", (self.lower, self.upper)), ("constraint_", self.limits)):
+            for i in np.flatnonzero(~(low <= high)):
                 raise ProblemError(
-                    "Expected the lower triangle of `hessian` alone; received entries above its diagonal."
+                    f"Expected `{name}lower` <= `{name}upper`. Received {low[i]} and {high[i]} at index {i}."
                 )
-        checks = [
-            (f"`{name}lower` <= `{name}upper`", (low, high), (low <= high) & (low < np.inf) & (high > -np.inf))
-            for name, low, high in (("", self.lower, self.upper), ("constraint_", *self.limits))
-        ]
-        checks += [
-            (f"`{name}` positive and finite", (scale,), np.isfinite(scale) & (scale > 0))
-            for name, scale in (("variable_scale", self.variable_scale), ("constraint_scale", self.constraint_scale))
-        ]
-        for expected, values, holds in (*checks, ("a finite `start`", (self.start,), np.isfinite(self.start))):
-            if not holds.all():
-                first = int(np.argmin(holds))
-                received = " and ".join(str(one[first]) for one in values)
-                raise ProblemError(f"Expected {expected}. Received {received} at index {first}.")
 
     def is_least(self, objective: float, tolerance: float) -> bool:
         """Whether an objective is at its lower bound, as far as can be told beside its fall from the start."""
@@ -166,217 +146,3 @@ class NonlinearProgram:
     def limits(self) -> Sides:
         """The bounds of the constraints."""
         return Sides(self.constraint_lower, self.constraint_upper)
-
-
-# --- Matrices, dense or sparse --------------------------------------------------------------------------------------
-
-# Steps of a bounded fit of sparse columns, each of as many products at most; and numbers multiplied in all, about a
-# second of them.
-_LEAST_STEPS, _MOST_STEPS, _MOST_WORK = 5, 100, 4e8
-# As many dense rows are fitted before SciPy's function, which takes half a second to load, would have been.
-_FEW_ROWS = 100
-# Of sums of products, as a part of the sum of their magnitudes.
-_ROUNDING = 4 * np.finfo(float).eps
-
-
-def entries(matrix: Matrix) -> np.ndarray:
-    """The numbers of a matrix; of a sparse one its stored entries."""
-    return matrix if isinstance(matrix, np.ndarray) else matrix.data
-
-
-def rows_of_entries(matrix: SparseMatrix) -> np.ndarray:
-    """The row of each entry, shape (entries,)."""
-    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-
-
-def with_entries(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
-    """The matrix with these entries, in the order of a sparsity."""
-    # The constructor would check the sparsity each time.
-    found = copy.copy(sparsity)
-    found.data = numbers
-    return found
-
-
-def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
-    """The largest `|w_i A_ij|`; zero if there is none."""
-    if isinstance(matrix, np.ndarray):
-        used = np.flatnonzero(weights)
-        return float(np.abs(weights[used, None] * matrix[used]).max(initial=0.0))
-    return float(np.abs(weights[rows_of_entries(matrix)] * matrix.data).max(initial=0.0))
-
-
-def zero_columns(matrix: Matrix) -> np.ndarray:
-    """Which columns are zero, shape (n,)."""
-    if isinstance(matrix, np.ndarray):
-        return np.logical_not(matrix.any(axis=0))
-    return ~np.isin(np.arange(matrix.shape[1]), matrix.indices[matrix.data != 0])
-
-
-def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
-    """Some rows as a dense array."""
-    return matrix[rows] if isinstance(matrix, np.ndarray) else matrix[rows].toarray()
-
-
-def above_identity(matrix: Matrix) -> Matrix:
-    """A matrix of shape (m, n) above the identity: shape (m + n, n), the slopes of rows and variables."""
-    if isinstance(matrix, np.ndarray):
-        return np.concatenate([matrix, np.eye(matrix.shape[1])])
-    return scipy.sparse.vstack([matrix, scipy.sparse.eye_array(matrix.shape[1])], format="csr")
-
-
-def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
-    """Weights `w >= 0` for which `w @ rows` is closest to a target; zeros, which prove nothing, if not found.
-
-    For sparse rows the search is cut short.
-    """
-    if isinstance(rows, np.ndarray) and len(rows) <= _FEW_ROWS:
-        return _fit_of_few(rows, target)
-    if isinstance(rows, np.ndarray):
-        try:
-            return scipy.optimize.nnls(rows.T, target)[0]
-        except RuntimeError:
-            # SciPy raises this when its iterations are used up.
-            return np.zeros(len(rows))
-    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(rows.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
-    short = {"method": "trf", "max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
-    return scipy.optimize.lsq_linear(rows.T.tocsr(), target, (0.0, np.inf), **short).x
-
-
-def _fit_of_few(rows: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """See `nonnegative_fit`: by Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23.
-
-    One row after the other is taken, that along which the remainder falls most. It is refused if the remainder does not
-    become smaller, so that the search ends.
-    """
-    sizes, weights = np.abs(rows), np.zeros(len(rows))
-    taken = refused = np.zeros(len(rows), dtype=bool)
-    while True:
-        left, rounding = target - weights @ rows, _ROUNDING * sizes @ (np.abs(target) + weights @ sizes)
-        descent = np.where(taken | refused, 0.0, rows @ left - rounding)
-        if descent.max(initial=0.0) <= 0.0:
-            return weights
-        further = np.arange(len(rows)) == descent.argmax()
-        among, trial = taken | further, weights
-        while True:
-            fit = _least_squares(rows, among, target)
-            if not (falling := among & (fit < 0.0)).any():
-                break
-            # So far no weight becomes negative. Rows whose weight becomes zero are dropped.
-            ways = np.divide(trial, trial - fit, out=np.full(len(rows), np.inf), where=falling)
-            trial = np.maximum(trial + ways.min() * (fit - trial), 0.0)
-            among = among & (ways > ways.min())
-        if np.linalg.norm(target - fit @ rows) < np.linalg.norm(left):
-            weights, taken, refused = fit, among, np.zeros(len(rows), dtype=bool)
-        else:
-            refused = refused | further
-
-
-def _least_squares(rows: np.ndarray, among: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Weights of some rows, zero for others, whose sum is closest to a target: by the normal equations, corrected once;
-    zeros if rows depend on one another.
-    """
-    weights, some = np.zeros(len(rows)), rows[among]
-    with contextlib.suppress(np.linalg.LinAlgError):
-        inverse = np.linalg.inv(some @ some.T)
-        for _ in range(2):
-            weights[among] += inverse @ (some @ (target - weights @ rows))
-    return weights
-
-
-@final
-class Block:
-    """Some rows and columns of matrices that share a sparsity, times a factor for each entry.
-
-    - `sparsity`: of the block.
-    """
-
-    def __init__(self, sparsity: SparseMatrix, rows: np.ndarray, columns: np.ndarray):
-        numbered = with_entries(sparsity, np.arange(1, sparsity.nnz + 1))[rows][:, columns]
-        numbered.sort_indices()
-        self._places = numbered.data - 1
-        self.sparsity = with_entries(numbered, np.ones(numbered.nnz, dtype=bool))
-        self._rows = rows_of_entries(numbered)
-
-    def factors(self, row_factors: np.ndarray, column_factors: np.ndarray) -> np.ndarray:
-        """The factor of each entry, shape (entries,), from those of rows and columns."""
-        return row_factors[self._rows] * column_factors[self.sparsity.indices]
-
-    def of(self, matrix: SparseMatrix, factors: np.ndarray) -> SparseMatrix:
-        """The block of one of these matrices, times the factors of its entries."""
-        return with_entries(self.sparsity, matrix.data[self._places] * factors)
-
-
-def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
-    """Refuse anything but a sparsity of this shape: a `csr_array` with sorted columns and no duplicates."""
-    is_sparse = isinstance(sparsity, scipy.sparse.csr_array) and sparsity.shape == shape
-    if not is_sparse or not sparsity.has_canonical_format:
-        raise ProblemError(
-            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}, its columns in order and no entry twice "
-            f"(call sum_duplicates()). Received {type(sparsity).__name__} of shape {getattr(sparsity, 'shape', None)}."
-        )
-
-
-def checked_sparse(name: str, matrix: Any, sparsity: SparseMatrix) -> SparseMatrix:
-    """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
-    if not (
-        isinstance(matrix, scipy.sparse.csr_array)
-        and matrix.shape == sparsity.shape
-        and np.array_equal(matrix.indptr, sparsity.indptr)
-        and np.array_equal(matrix.indices, sparsity.indices)
-    ):
-        raise ProblemError(
-            f"Expected the {name} as a scipy.sparse.csr_array with the sparsity declared, {sparsity.nnz} entries in "
-            f"shape {sparsity.shape}; received {getattr(matrix, 'nnz', type(matrix).__name__)} in shape "
-            f"{np.shape(matrix)}, or others. Keep zeros in place."
-        )
-    return with_entries(sparsity, np.array(matrix.data, dtype=float))
-
-
-# Beyond this share of nonzero entries, sparsity saves nothing.
-_DENSE = 0.7
-
-
-@final
-class Pattern:
-    """The entries of a Jacobian that a solver works with: declared if the sparsity is sparse, a guess if it is dense.
-
-    - `rows`, `columns`: of the entries, column by column, shape (entries,);
-    - `outgrown`: whether a nonzero entry has turned up outside a guess.
-    """
-
-    def __init__(self, sparsity: Matrix):
-        self.outgrown = False
-        if isinstance(sparsity, np.ndarray):
-            is_dense = sparsity.size == 0 or bool(np.mean(sparsity != 0) > _DENSE)
-            self.columns, self.rows = np.nonzero(np.ones_like(sparsity.T) if is_dense else sparsity.T)
-        else:
-            self._order = np.argsort(sparsity.indices, kind="stable")
-            self.rows, self.columns = rows_of_entries(sparsity)[self._order], sparsity.indices[self._order]
-
-    def entries(self, jacobian: Matrix) -> np.ndarray:
-        """The entries of a Jacobian of shape (m, n), shape (entries,)."""
-        if not isinstance(jacobian, np.ndarray):
-            return jacobian.data[self._order]
-        inside = jacobian[self.rows, self.columns]
-        self.outgrown = self.outgrown or bool(np.count_nonzero(jacobian) > np.count_nonzero(inside))
-        return inside
-
-
-# Rows that depend on one another are told apart by so much of their size.
-_DEPENDENT = 1e-10
-
-
-def projected(rows: Matrix, units: np.ndarray) -> np.ndarray:
-    """Directions, shape (n, k), without what changes some rows, shape (m, n)."""
-    if isinstance(rows, np.ndarray):
-        return units - np.linalg.lstsq(rows, rows @ units, rcond=None)[0]
-    # By the equations `[I, A'; A, -d I] [step; pushes] = [unit; 0]`.
-    sizes = abs(rows).max(axis=1).toarray().ravel()
-    scaled = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0)) @ rows
-    count, size = scaled.shape
-    small = scipy.sparse.diags_array(np.full(count, -_DEPENDENT))
-    every = scipy.sparse.block_array([[scipy.sparse.eye_array(size), scaled.T], [scaled, small]], format="csc")
-    # Quasi-definite: any order of the diagonal serves as pivots.
-    order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    right = np.concatenate([units, np.zeros((count, units.shape[1]))])
-    return scipy.sparse.linalg.splu(every, **order).solve(right)[:size]

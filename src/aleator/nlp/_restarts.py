@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.nlp._certificate import descent
-from aleator.nlp._evaluations import MOST_DIFFERENCED
-from aleator.nlp._program import Evaluation, NonlinearProgram, zero_columns
-from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
+from aleator.nlp._curvature import descent
+from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._scaling import MOST_DIFFERENCED, Multipliers, ScaledProgram, Scales
 from aleator.nlp._solver import Outcome, Status
 from aleator.nlp._verdict import HELD
 
@@ -32,6 +31,18 @@ _STILL = 1e-9
 _LOWER = 1e-7
 # Values that differ by less than this part count as equal.
 _SAME = 1e-12
+# Where a flat variable is moved to, in typical magnitudes; parts of its range; and sets of random sides of several.
+_ACROSS, _PARTS, _TOGETHER = (-1.0, -0.05, 0.05, 1.0), (0.0, 0.25, 0.5, 0.75, 1.0), 3
+# Steps in typical magnitudes of all suspects together, and then of each alone: a short one, so that the model is likely
+# to be finite, and a long one, across a coarse rounding.
+_BLIND_STEPS = (0.05, -0.4)
+# How many points in the whole range of the variables are evaluated, and how far from the start an unbounded range
+# extends, in typical magnitudes.
+_POINTS, _FAR = 8, 3.0
+UNBOUNDED = 1e15
+"""Bounds that are so many typical magnitudes, or units, away stand for none."""
+# A violation is lower if it is so by more than this part.
+_LESS = 1e-2
 
 
 class Restart(NamedTuple):
@@ -71,55 +82,57 @@ def restart_of(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -
     """
     if outcome.status is Status.SOLVED:
         return _around(program, outcome, begun)
-
-    def scaled_at(point: np.ndarray) -> NonlinearProgram:
-        """The program with variables scaled by their values there and at the outcome, where these are larger."""
-        sizes = np.abs([program.variable_scale, outcome.point, point])
-        return replace(program, variable_scale=np.max(sizes, axis=0))
-
-    def violation(point: np.ndarray) -> float:
-        values = program.evaluate(point).constraints
-        excess = program.limits.excess(values) / outcome.sizes
-        return float(np.max(excess, initial=0.0)) if np.isfinite(values).all() else np.inf
-
     if outcome.strayed:
-        return Restart(scaled_at(outcome.point), outcome.point, holds=True)
-    if outcome.status is Status.INFEASIBLE:
+        start, violation = outcome.point, 0.0
+    elif outcome.status is Status.INFEASIBLE:
         # The corners of least and of greatest values, the middle between them, and points in the whole range.
         lower, upper = variable_range(begun, program.lower, program.upper, program.variable_scale)
         drawn = np.random.default_rng(0).uniform(lower, upper, (_POINTS, len(begun)))
         points = [begun, program.start, lower, upper, (lower + upper) / 2, *drawn]
-        violations = [violation(point) for point in points]
-        least = int(np.argmin(violations))
-        if violations[least] < (1 - _LESS) * outcome.violation:
-            return Restart(scaled_at(points[least]), points[least], holds=violations[least] <= HELD)
-    return Restart(program)
+        rows = np.array([program.evaluate(point).constraints for point in points])
+        violations = np.max(program.limits.excess(rows) / outcome.sizes, axis=1, initial=0.0)
+        violations[~np.isfinite(rows).all(axis=1)] = np.inf
+        start, violation = points[np.argmin(violations)], violations.min()
+        if not violation < (1 - _LESS) * outcome.violation:
+            return Restart(program)
+    else:
+        return Restart(program)
+    scale = np.max(np.abs([program.variable_scale, outcome.point, start]), axis=0)
+    return Restart(replace(program, variable_scale=scale), start, holds=bool(violation <= HELD))
+
+
+def variable_range(
+    start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
+    far, bounded = _FAR * scale, UNBOUNDED * np.maximum(scale, 1.0)
+    return np.where(lower > -bounded, lower, start - far), np.where(upper < bounded, upper, start + far)
 
 
 # --- Beside an answer -------------------------------------------------------------------------------------------------
 
 
 def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> Restart:
-    here = outcome.evaluation
-    flat = _is_flat(here)
-    still = np.abs(outcome.point - begun) <= _STILL * program.variable_scale
+    here, point = outcome.evaluation, outcome.point
+    flat, is_least = _is_flat(here), program.is_least(here.objective, _LOWER)
+    still = np.abs(point - begun) <= _STILL * program.variable_scale
     if outcome.searched is not None:
         still |= flat
     still &= program.lower < program.upper
+    places = np.flatnonzero(still & flat)[:_MOST]
 
     def height(there: Evaluation) -> float:
         """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
         return there.objective + float(outcome.multipliers @ (there.constraints - here.constraints))
 
     def lower_of(others: list[tuple[np.ndarray, Evaluation]]) -> list[np.ndarray]:
-        least = -np.inf if is_least else here.objective - _LOWER * abs(here.objective)
-        return [point for point, there in others if height(there) < least]
+        most = -np.inf if is_least else here.objective - _LOWER * abs(here.objective)
+        return [point for point, there in others if height(there) < most]
 
-    idle, blind, is_least = [], [], program.is_least(here.objective, _LOWER)
-    lower = [] if is_least else _descended(program, outcome, _unmoved(program, outcome.point - begun, still))
-    places = np.flatnonzero(still & flat)[:_MOST]
+    idle, blind = [], []
+    lower = [] if is_least else _descended(program, outcome, _unmoved(program, point - begun, still))
     for i in places.tolist():
-        others = _finite(program, _across(program, outcome.point, i))
+        others = _across(program, point, np.arange(point.size) == i)
         if not any(_differs(here, there) for _, there in others):
             idle.append(i)
         elif all(_is_flat(there)[i] for _, there in others):
@@ -128,11 +141,15 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
             lower += lower_of(others)
     if len(places) > 1 and not lower:
         # Of a product of three numbers that begin at zero, all slopes of all slopes are zero too.
-        lower += lower_of(_finite(program, _across_together(program, outcome.point, places)))
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TOGETHER, places.size))
+        for side in (np.ones(places.size), *signs):
+            sides = np.zeros(point.size)
+            sides[places] = side
+            lower += lower_of(_across(program, point, sides))
     if lower and not blind:
         start = min(lower, key=lambda point: height(program.evaluate(point)))
         return Restart(program, start, idle=tuple(idle))
-    lost = lost_variables(program, outcome.point, here)
+    lost = lost_variables(program, point, here)
     return Restart(program, idle=tuple(idle), blind=tuple(sorted({*blind, *lost})))
 
 
@@ -142,20 +159,19 @@ def _unmoved(
     """Directions along which a search has moved nothing: the first variables that are `still`, and sums or differences
     of those that have moved by as much, unless there are many variables: a symmetry keeps them together.
     """
-    places = np.flatnonzero(still)[:MOST_DIFFERENCED]
-    single = np.zeros((moved.size, places.size))
-    single[places, np.arange(places.size)] = 1.0
+    single = 1.0 * (np.arange(moved.size) == np.flatnonzero(still)[:MOST_DIFFERENCED, None])
     if moved.size > MOST_DIFFERENCED:
-        return single
+        return single.T
     lengths = np.abs(moved) / program.variable_scale
     others = np.flatnonzero(~still & (lengths > _STILL))
     others = others[np.argsort(lengths[others])]
-    pairs = zip(others[:-1].tolist(), others[1:].tolist(), strict=True)
-    tied = [(i, j) for i, j in pairs if lengths[j] - lengths[i] <= _STILL * max(1.0, lengths[j])]
-    together = np.zeros((moved.size, len(tied)))
-    for k, (i, j) in enumerate(tied):
-        together[i, k], together[j, k] = np.sign(moved[i]), -np.sign(moved[j])
-    return np.concatenate([single, together], axis=1)
+    sides = np.eye(moved.size) * np.sign(moved)
+    together = [
+        sides[i] - sides[j]
+        for i, j in itertools.pairwise(others.tolist())
+        if lengths[j] - lengths[i] <= _STILL * max(1.0, lengths[j])
+    ]
+    return np.array([*single, *together]).reshape(-1, moved.size).T
 
 
 def _descended(
@@ -171,42 +187,12 @@ def _descended(
     scaled.rescale(z, Scales(objective, outcome.sizes[scaled.useful]))
     bounds = (outcome.bound_multipliers * program.variable_scale)[free] / objective
     further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), unmoved[free])
-    return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
+    return [] if further is None else [scaled.unscaled(further.point)]
 
 
 def _is_flat(there: Evaluation) -> np.ndarray:
     """By which variables all slopes are zero, shape (n,)."""
-    return (there.gradient == 0) & zero_columns(there.jacobian)
-
-
-def _across(program: NonlinearProgram, here: np.ndarray, which: int) -> list[np.ndarray]:
-    """Points with one variable moved: a little, much, and all over its range."""
-    lower, upper = program.lower[which], program.upper[which]
-    places = {float(np.clip(here[which] + step * program.variable_scale[which], lower, upper)) for step in _ACROSS}
-    if np.isfinite(lower) and np.isfinite(upper):
-        places |= set(np.linspace(lower, upper, 5).tolist())
-    return [np.where(np.arange(here.size) == which, place, here) for place in sorted(places - {float(here[which])})]
-
-
-def _across_together(program: NonlinearProgram, here: np.ndarray, which: np.ndarray) -> list[np.ndarray]:
-    """Points with several variables moved at once: all to one side, and each to a random one."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TOGETHER, which.size))
-    points = []
-    for side, step in itertools.product(np.concatenate([np.ones((1, which.size)), signs]), _ACROSS):
-        moved = here.copy()
-        moved[which] += step * side * program.variable_scale[which]
-        points.append(np.clip(moved, program.lower, program.upper))
-    return points
-
-
-def _finite(program: NonlinearProgram, points: list[np.ndarray]) -> list[tuple[np.ndarray, Evaluation]]:
-    """The points at which the program is finite, evaluated."""
-    every = [(point, program.evaluate(point)) for point in points]
-    return [(point, there) for point, there in every if np.isfinite([there.objective, *there.constraints]).all()]
-
-
-# In typical magnitudes of a variable; sets of random sides.
-_ACROSS, _TOGETHER = (-3.0, -1.0, -0.05, 0.05, 1.0, 3.0), 3
+    return (there.gradient == 0) & (abs(there.jacobian).sum(axis=0) == 0)
 
 
 def _differs(one: Evaluation, other: Evaluation) -> bool:
@@ -214,9 +200,16 @@ def _differs(one: Evaluation, other: Evaluation) -> bool:
     return bool(np.any(np.abs(first - second) > _SAME * np.maximum(np.abs(first), np.abs(second))))
 
 
-# Steps in typical magnitudes of all suspects together, and then of each alone: a short one, so that the model is likely
-# to be finite, and a long one, across a coarse rounding.
-_BLIND_STEPS = (0.05, -0.4)
+def _across(program: NonlinearProgram, here: np.ndarray, sides: np.ndarray) -> list[tuple[np.ndarray, Evaluation]]:
+    """Points at which the program is finite with some variables moved, each to its side: a little, much, and all over
+    their ranges.
+    """
+    lower, upper = variable_range(here, program.lower, program.upper, program.variable_scale)
+    moved = [here + step * sides * program.variable_scale for step in _ACROSS]
+    moved += [np.where(sides > 0, lower + part * (upper - lower), upper - part * (upper - lower)) for part in _PARTS]
+    points = [np.clip(np.where(sides == 0, here, one), program.lower, program.upper) for one in moved]
+    every = [(point, program.evaluate(point)) for point in points if np.any(point != here)]
+    return [(point, there) for point, there in every if np.isfinite([there.objective, *there.constraints]).all()]
 
 
 def lost_variables(program: NonlinearProgram, point: np.ndarray, here: Evaluation) -> tuple[int, ...]:
@@ -227,42 +220,20 @@ def lost_variables(program: NonlinearProgram, point: np.ndarray, here: Evaluatio
     sparse programs, where an objective depends on few variables by construction, none is looked for.
     """
 
-    def are_lost(which: np.ndarray) -> bool:
-        bounds, size = (program.lower[which], program.upper[which]), program.variable_scale[which]
+    def are_lost(which: list[int]) -> bool:
         for step in _BLIND_STEPS:
             # Away from a bound that is too close.
-            places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
-            first, second = (np.abs(place - point[which]) for place in places)
+            ends = [point[which] + sign * step * program.variable_scale[which] for sign in (1, -1)]
+            first, second = (np.clip(end, program.lower[which], program.upper[which]) for end in ends)
             moved = point.copy()
-            moved[which] = np.where(first >= second, *places)
+            moved[which] = np.where(np.abs(first - point[which]) >= np.abs(second - point[which]), first, second)
             there = program.evaluate(moved)
-            change, size_of_both = abs(there.objective - here.objective), max(abs(here.objective), abs(there.objective))
-            if change > _SAME * size_of_both and np.isfinite(change) and not there.gradient[which].any():
+            change, size = abs(there.objective - here.objective), max(abs(here.objective), abs(there.objective))
+            if change > _SAME * size and np.isfinite(change) and not there.gradient[which].any():
                 return True
         return False
 
-    flat = np.flatnonzero((here.gradient == 0) & (program.lower < program.upper))
-    if not flat.size or not isinstance(here.jacobian, np.ndarray) or not np.isfinite(here.objective):
+    flat = np.flatnonzero((here.gradient == 0) & (program.lower < program.upper)).tolist()
+    if not flat or not isinstance(here.jacobian, np.ndarray) or not np.isfinite(here.objective) or not are_lost(flat):
         return ()
-    if not are_lost(flat):
-        return ()
-    return tuple(int(i) for i in flat[:_MOST] if flat.size == 1 or are_lost(np.array([i])))
-
-
-# --- Elsewhere --------------------------------------------------------------------------------------------------------
-
-# How many points in the whole range of the variables are evaluated, and how far from the start an unbounded range
-# extends, in typical magnitudes.
-_POINTS, _FAR = 8, 3.0
-UNBOUNDED = 1e15
-"""Bounds that are so many typical magnitudes, or units, away stand for none."""
-# A violation is lower if it is so by more than this part.
-_LESS = 1e-2
-
-
-def variable_range(
-    start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
-    far, bounded = _FAR * scale, UNBOUNDED * np.maximum(scale, 1.0)
-    return np.where(lower > -bounded, lower, start - far), np.where(upper < bounded, upper, start + far)
+    return tuple(i for i in flat[:_MOST] if len(flat) == 1 or are_lost([i]))

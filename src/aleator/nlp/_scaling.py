@@ -1,18 +1,17 @@
 """The program as solvers see it: dimensionless, without fixed variables and without unbounded rows."""
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+import contextlib
+from typing import NamedTuple, final
 
 import numpy as np
 import scipy
 
-from aleator.nlp._evaluations import MOST_DIFFERENCED, Evaluations, NotFiniteError, Straightness, changes_of
-from aleator.nlp._program import Block, Evaluation, Matrix, NonlinearProgram, Sides, checked_sparse
+from aleator.nlp._evaluations import Evaluations, NotFiniteError
+from aleator.nlp._matrices import Block, Matrix, SparseMatrix, checked_sparse, entries
+from aleator.nlp._program import Evaluation, NonlinearProgram, Sides
 
 
-@final
-@dataclass(frozen=True)
-class Multipliers:
+class Multipliers(NamedTuple):
     """Scaled multipliers: of the rows, shape (m_useful,), and of the free variables' bounds, shape (n_free,)."""
 
     rows: np.ndarray
@@ -27,9 +26,9 @@ class Multipliers:
         """Some of them, by truth values in the order of `every`, and zeros for the others."""
         return Multipliers(*np.split(np.where(which, self.every, 0.0), [self.rows.size]))
 
-    def slope(self, evaluation: Evaluation) -> np.ndarray:
-        """The gradient `∇f + Jᵀλ + μ` of the Lagrangian with a scaled evaluation, shape (n_free,)."""
-        return evaluation.gradient + self.rows @ evaluation.jacobian + self.bounds
+    def slope(self, evaluation: Evaluation, weight: float = 1.0) -> np.ndarray:
+        """The gradient `w ∇f + Jᵀλ + μ` of the Lagrangian with a scaled evaluation, shape (n_free,)."""
+        return weight * evaluation.gradient + self.rows @ evaluation.jacobian + self.bounds
 
 
 class Scales(NamedTuple):
@@ -46,11 +45,6 @@ class Scales(NamedTuple):
         rows = multipliers.rows * ratio * (into.constraints / self.constraints)
         return Multipliers(rows, multipliers.bounds * ratio)
 
-    def is_near(self, other: "Scales", factor: float) -> bool:
-        """Whether no scale differs from the other's by more than a factor."""
-        objective, rows = self.objective / other.objective, self.constraints / other.constraints
-        return bool(1 / factor <= objective <= factor and np.all((rows <= factor) & (rows >= 1 / factor)))
-
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
 # step, in typical magnitudes of the variables.
@@ -61,6 +55,9 @@ _ROUNDING = 1e-10
 _NEGLIGIBLE_VIOLATION = 1e-7
 # Slacks and multipliers up to this count as zero; the latter are residues of the solver.
 _REACHED = 1e-6
+# Most variables for which second derivatives are taken from differences of first ones, two evaluations for each; and
+# the length of a step in sizes of the variables.
+MOST_DIFFERENCED, _STEP = 30, 1e-4
 
 
 @final
@@ -77,7 +74,6 @@ class ScaledProgram:
     - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m_useful, n_free), dense or sparse as the
       Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian
       (`take_differences` makes one);
-    - `straightness`: whether all slopes seen so far were the same;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
@@ -95,28 +91,21 @@ class ScaledProgram:
         self._variable_scale = program.variable_scale[self._free]
         self._fixed_variables = np.clip(start, program.lower, program.upper)
         self._last: tuple[bytes, Evaluation] | None = None
-        self._best_rank = (np.inf, np.inf)
         self.evaluations = Evaluations(program)
         self.size, self.rows = int(self._free.sum()), int(self.useful.sum())
-        # All rows and columns are no copy.
-        is_whole = self._free.all() and self.useful.all()
-        self._part: Any = slice(None) if is_whole else np.ix_(self.useful, self._free)
-        self._block = self._hessian_block = None
-        if program.sparsity is None or isinstance(program.sparsity, np.ndarray):
-            every = np.ones((self.useful.size, self._free.size), dtype=bool)
-            sparsity = every if program.sparsity is None else program.sparsity
-            self.sparsity: Matrix = sparsity[self._part]
-        else:
-            self._block = Block(program.sparsity, self.useful, self._free)
-            self.sparsity = self._block.sparsity
+        sparsity = program.sparsity
+        if sparsity is None:
+            sparsity = np.ones((self.useful.size, self._free.size), dtype=bool)
+        self._block = Block(sparsity, self.useful, self._free)
+        self.sparsity: Matrix = self._block.sparsity
+        self.curved: SparseMatrix | None = None
         if program.hessian is not None:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
-            self._hessian_factor = self._hessian_block.factors(self._variable_scale, self._variable_scale)
-        self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
+            self._hessian_factor = self._hessian_block.factors(1 / self._variable_scale, self._variable_scale)
+            self.curved = self._hessian_block.sparsity
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
         self.best: tuple[np.ndarray, Evaluation] | None = None
-        self.straightness = Straightness()
         self._objective_origin = 0.0
         self.rescale(
             self._fixed_variables[self._free] / self._variable_scale,
@@ -140,36 +129,41 @@ class ScaledProgram:
         """Continue from `z`, shape (n_free,), in other scales. The caller must convert its multipliers."""
         self.start = np.clip(z, self.lower, self.upper)
         self.scales = scales
-        divisors = scales.constraints
-        if self._block is None:
-            self._jacobian_factor = self._variable_scale / divisors[:, None]
-        else:
-            self._jacobian_factor = self._block.factors(1 / divisors, self._variable_scale)
-        self.constraint_lower = self.program.constraint_lower[self.useful] / divisors
-        self.constraint_upper = self.program.constraint_upper[self.useful] / divisors
+        self._jacobian_factor = self._block.factors(scales.constraints, self._variable_scale)
+        self.constraint_lower = self.program.constraint_lower[self.useful] / scales.constraints
+        self.constraint_upper = self.program.constraint_upper[self.useful] / scales.constraints
         self._last = None
-        if self.best is not None:
-            # In other scales another point may be the least violated.
-            (point, user), self._best_rank = self.best, (np.inf, np.inf)
-            self._rank(point, user, self.scale(user))
 
     @property
     def limits(self) -> Sides:
         """The scaled bounds of the useful rows."""
         return Sides(self.constraint_lower, self.constraint_upper)
 
+    def relaxed(self, by: float) -> Sides:
+        """The same, equalities relaxed if they outnumber the variables, which some libraries refuse."""
+        lower, upper = self.limits
+        slack = np.where((lower == upper) & (np.sum(lower == upper) > self.size), by, 0.0)
+        return Sides(lower - slack, upper + slack)
+
     @property
     def sides(self) -> Sides:
         """The scaled bounds of the useful rows, then those of the free variables."""
-        return Sides(
-            np.concatenate([self.constraint_lower, self.lower]), np.concatenate([self.constraint_upper, self.upper])
-        )
+        return Sides(np.append(self.constraint_lower, self.lower), np.append(self.constraint_upper, self.upper))
 
     def sizes_at(self, z: np.ndarray, user: Evaluation) -> np.ndarray:
         """Sizes of the useful constraints at `z` with its evaluation in user units, shape (m_useful,)."""
         program = self.program
         sizes = program.constraint_scale if program.sizes is None else program.sizes(self.unscaled(z), user)
         return sizes[self.useful]
+
+    @property
+    def no_multipliers(self) -> Multipliers:
+        """Zeros."""
+        return Multipliers(np.zeros(self.rows), np.zeros(self.size))
+
+    def outside(self, user: Evaluation) -> np.ndarray:
+        """How far the useful constraints are outside in user units, negative inside, shape (m_useful,)."""
+        return self.program.limits.excess(user.constraints)[self.useful]
 
     @property
     def every_scale(self) -> np.ndarray:
@@ -197,11 +191,6 @@ class ScaledProgram:
         """The evaluation of `z` in user units, which may be non-finite."""
         return self.evaluations.at(self.unscaled(z))
 
-    def keep(self, z: np.ndarray, user: Evaluation) -> None:
-        """Let an evaluation in user units be that of `z` from now on."""
-        self.evaluations.keep(self.unscaled(z), user)
-        self._last = None
-
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Evaluate `z`, scaled.
 
@@ -211,22 +200,19 @@ class ScaledProgram:
         if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
             self._last = None
             user = self.evaluations.finite_at(self.unscaled(z))
-            self.straightness.note(np.array(z, dtype=float), user)
             self._last = (key, self.scale(user))
-            self._rank(np.array(z, dtype=float), user, self._last[1])
+            # In other scales another point may be the least violated.
+            if self.best is None or self._rank(user) < self._rank(self.best[1]):
+                self.best = (np.array(z, dtype=float), user)
         return self._last[1]
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free variables and useful rows only."""
-        if self._block is not None:
-            jacobian = self._block.of(user.jacobian, self._jacobian_factor)
-        else:
-            jacobian = user.jacobian[self._part] * self._jacobian_factor
         return Evaluation(
             (user.objective - self._objective_origin) / self.scales.objective,
             user.gradient[self._free] * self._variable_scale / self.scales.objective,
             user.constraints[self.useful] / self.scales.constraints,
-            jacobian,
+            self._block.of(user.jacobian, self._jacobian_factor),
         )
 
     def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
@@ -235,15 +221,14 @@ class ScaledProgram:
         `weight` is that of the scaled objective, `multipliers` those of the useful scaled rows. Raises `NotFiniteError`
         if some entries are not finite, `HaltedError` if the solve must end.
         """
-        program, block = self.program, self._hessian_block
-        if program.hessian is None or block is None:
+        hessian = self.program.hessian
+        if hessian is None:
             return self._differenced(z, weight, multipliers)
         rows = np.zeros(self.useful.size)
         rows[self.useful] = multipliers / self.scales.constraints
         given = self.unscaled(z), weight / self.scales.objective, rows
-        found = self.evaluations.asked(lambda: program.hessian.evaluate(*given))  # type: ignore[union-attr]
-        whole = checked_sparse("Hessian", found, program.hessian.sparsity)
-        numbers = block.of(whole, self._hessian_factor).data
+        whole = checked_sparse("Hessian", self.evaluations.asked(lambda: hessian.evaluate(*given)), hessian.sparsity)
+        numbers = entries(self._hessian_block.of(whole, self._hessian_factor))
         if not np.isfinite(numbers).all():
             raise NotFiniteError
         return numbers
@@ -251,7 +236,7 @@ class ScaledProgram:
     @property
     def can_take_differences(self) -> bool:
         """Whether there is no Hessian, but could be one by differences: of few variables, or if nothing curves."""
-        return self.curved is None and (self.size <= MOST_DIFFERENCED or self.straightness.is_shown)
+        return self.curved is None and (self.size <= MOST_DIFFERENCED or self.evaluations.is_straight)
 
     def take_differences(self) -> bool:
         """Have a Hessian by differences of slopes from now on, zero as long as these were the same everywhere.
@@ -268,22 +253,35 @@ class ScaledProgram:
 
     def _differenced(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
         assert self.curved is not None
-        if self.straightness.is_shown or self.size > MOST_DIFFERENCED:
+        if self.evaluations.is_straight or self.size > MOST_DIFFERENCED:
             return np.zeros(self.curved.nnz)
-
-        def slope(point: np.ndarray) -> np.ndarray:
-            found = self.evaluate(point)
-            return weight * found.gradient + multipliers @ found.jacobian
-
-        z = np.array(z, dtype=float)
-        size = np.maximum(1.0, np.abs(z))
-        columns = changes_of(slope, z, (self.lower, self.upper), np.diag(size)) / size
+        size, rows = np.maximum(1.0, np.abs(z)), self.no_multipliers._replace(rows=multipliers)
+        columns = self.curvature(np.array(z, dtype=float), rows, np.diag(size), weight) / size
         return ((columns + columns.T) / 2)[np.tril_indices(self.size)]
 
-    def curvature(self, z: np.ndarray, multipliers: Multipliers, directions: np.ndarray) -> np.ndarray:
-        """Derivatives of the Lagrangian's slope along directions, shape (n_free, k): see `changes_of`."""
-        bounds = self.lower, self.upper
-        return changes_of(lambda point: multipliers.slope(self.evaluate(point)), z, bounds, directions)
+    def curvature(
+        self, z: np.ndarray, multipliers: Multipliers, directions: np.ndarray, weight: float = 1.0
+    ) -> np.ndarray:
+        """The derivatives of the Lagrangian's slope along directions of about the size of the variables, shape
+        (n_free, k), by central differences, by one-sided ones beside bounds.
+
+        `weight` is that of the objective. Raises `NotFiniteError` where the model has no value on either side.
+        """
+        size, columns = np.maximum(1.0, np.abs(z)), np.zeros(directions.shape)
+        for i, direction in enumerate(directions.T):
+            ends = []
+            for step in (_STEP, -_STEP, 0.0):
+                moved = np.clip(z + step * direction, self.lower, self.upper)
+                with contextlib.suppress(NotFiniteError):
+                    if step or len(ends) == 1:
+                        ends.append((moved, multipliers.slope(self.evaluate(moved), weight)))
+            if not ends:
+                raise NotFiniteError
+            (above, first), (below, second) = ends
+            unit = direction / size
+            length = float(((above - below) / size) @ unit) / float(unit @ unit)
+            columns[:, i] = (first - second) / length if length else 0.0
+        return columns
 
     @property
     def start_objective(self) -> float:
@@ -330,10 +328,7 @@ class ScaledProgram:
         """Scaled multipliers of the useful rows, shape (m_useful,), from those of all rows in user units."""
         return rows[self.useful] * self.scales.constraints / self.scales.objective
 
-    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:
-        """Keep a point if it is the best so far."""
-        violation = float(self.limits.excess(scaled.constraints).max(initial=0.0))
-        rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, user.objective)
-        if rank < self._best_rank:
-            self._best_rank = rank
-            self.best = (z, user)
+    def _rank(self, user: Evaluation) -> tuple[float, float]:
+        """Feasible points by their objective, others by their violation."""
+        violation = float((self.outside(user) / self.scales.constraints).max(initial=0.0))
+        return violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, user.objective

@@ -2,10 +2,8 @@
 
 import abc
 import contextlib
-import functools
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
@@ -20,8 +18,8 @@ from aleator._core.parallel import heeding
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
-from aleator.nlp._sought import EndedError, Sought
+from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status
+from aleator.nlp._sought import NEAR, EndedError, Sought
 from aleator.nlp._uno import default_solver
 from aleator.nlp._verdict import HELD, Answer
 
@@ -31,8 +29,6 @@ _WEIGHTS = (10.0, 1e3, 1e5)
 _POLISHED = 5
 # A point of the search that is lower than the polished one by this part of the objective is better.
 _LOWER = 1e-6
-# More variables than a search without derivatives has a use for.
-_MOST_VARIABLES = 500
 
 
 @final
@@ -136,46 +132,36 @@ class AbstractSearch(AbstractSolver):
     def seek(self, program: NonlinearProgram, start: np.ndarray | None = None) -> tuple[Sought, Searched]:
         """Search alone: the points found, of which none is polished, and the history."""
         self.require()
-        self._check(program)
-        start = program.start if start is None else checked("start", start, program.start.shape)
+        if not isinstance(program.sparsity, np.ndarray | None):
+            raise ProblemError(
+                f"{type(self).__name__} searches without derivatives, and cannot hold equations of motion as limits: "
+                "expected states that are simulated, by transcription=al.Sequential(); received a sparse program."
+            )
+        begun = program.start if start is None else start
         with heeding(alone=True) as heed:
-            sought = Sought(program, start, (self.evaluations, self.seconds), self.progress, heed)
+            sought = Sought(program, begun, (self.evaluations, self.seconds), self.progress, heed)
             if sought.size:
-                self._search(sought)
+                self._search(program, sought)
         if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
             raise sought.halt
-        return sought, Searched(self.method, *sought.history, sought.end, sought.seconds)
+        return sought, Searched(self.method, *sought.found[1:], sought.end, sought.seconds)
 
-    def _check(self, program: NonlinearProgram) -> None:
-        free = program.lower < program.upper
-        open_ended = free & ~(np.isfinite(program.lower) & np.isfinite(program.upper))
-        if not isinstance(program.sparsity, np.ndarray | None):
-            what = (
-                "a program whose states are simulated, by transcription=al.Sequential(), since it knows no derivatives "
-                "and cannot hold equations of motion as constraints; received a sparse one"
-            )
-        elif (count := int(free.sum())) > _MOST_VARIABLES:
-            what = f"at most {_MOST_VARIABLES} variables; received {count}. Use al.solvers.FilterSQP() or Ipopt()"
-        elif self.needs_bounds and open_ended.any():
-            what = f"finite bounds of every variable; variable {int(np.argmax(open_ended))} has none"
-        else:
-            return
-        raise ProblemError(f"{type(self).__name__} searches without derivatives: expected {what}.")
-
-    def _search(self, sought: Sought) -> None:
+    def _search(self, program: NonlinearProgram, sought: Sought) -> None:
         generator = np.random.default_rng(self.seed)
         sought.weight = _WEIGHTS[0]
         try:
             first = self._first(sought, generator)
             for weight in _WEIGHTS:
-                is_last = weight == _WEIGHTS[-1] or not sought.is_constrained
-                sought.begin_round(weight, 1.0 if is_last else 0.5)
+                is_last = weight == _WEIGHTS[-1] or not np.isfinite(program.limits).any()
+                # Violations are weighed anew, with a share of what is left of the budget.
+                left = self.evaluations - sought.count
+                sought.weight, sought.limit = weight, self.evaluations - (0 if is_last else left // 2)
                 with contextlib.suppress(EndedError):
                     self.explore(sought, first, generator)
-                least, is_near = sought.least()
-                if sought.is_over or is_last or is_near:
+                best = sought.ranked(NEAR)
+                if sought.is_over or is_last or best.violations[0] <= NEAR:
                     break
-                first = least[None]
+                first = best.points[:1]
         except EndedError:
             pass
         except KeyboardInterrupt as interrupt:
@@ -191,16 +177,15 @@ class AbstractSearch(AbstractSolver):
 
         count = max(min(self.first_points, self.evaluations) - 1, 0)
         drawn = qmc.LatinHypercube(sought.size, rng=generator).random(count) if count else np.zeros((0, sought.size))
-        closed = np.isfinite(sought.upper - sought.lower)
-        drawn = np.where(closed, drawn, sought.start + 2 * drawn - 1)
+        drawn = np.where(np.isfinite(sought.upper - sought.lower), drawn, sought.start + 2 * drawn - 1)
         points = np.concatenate([sought.start[None], np.clip(drawn, sought.lower, sought.upper)])
-        merits = sought.merits(points)
-        return points[np.argsort(merits, kind="stable")]
+        return points[np.argsort(sought.merits(points), kind="stable")]
 
     def _polished(self, program: NonlinearProgram, sought: Sought) -> tuple[Outcome, bool]:
-        """The best of a few points that are far apart, polished, and whether the user stopped that."""
-        outcomes: list[Outcome] = []
-        is_cut = False
+        """The best of a few points that are far apart, polished, or that of the search, with the effort of all; and
+        whether the user stopped polishing.
+        """
+        outcomes, is_cut = list[Outcome](), False
         try:
             for point in sought.candidates(_POLISHED if self.polish else 1):
                 outcomes.append(self.local.solve(program, start=point))
@@ -208,23 +193,18 @@ class AbstractSearch(AbstractSolver):
                     break
         except KeyboardInterrupt:
             is_cut = True
-        best = self._best(program, sought, outcomes)
+        seen = sought.ranked(HELD)
+        lowest = seen.objectives[0] if seen.violations[0] <= HELD else np.inf
+        best = min([one for one in outcomes if one.ok] or outcomes, key=_rank, default=None)
+        reached = best.evaluation.objective if best is not None and best.violation <= HELD else np.nan
+        if best is None or not reached <= lowest + _LOWER * max(abs(lowest), abs(reached)):
+            # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
+            outcomes.append(_AsItIs(self.tolerance).solve(program, start=sought.unscaled(seen.points[:1])[0]))
+            best = min(outcomes, key=_rank)
+        best = best.with_effort_of(*(one for one in outcomes if one is not best))
         if is_cut and not best.ok:
             best = replace(best, status=Status.INTERRUPTED, message="the best point so far")
         return best, is_cut
-
-    def _best(self, program: NonlinearProgram, sought: Sought, polished: Sequence[Outcome]) -> Outcome:
-        """The best of some polished points, or that of the search, with the effort of all."""
-        seen, lowest = sought.best_held(HELD)
-        as_it_is = functools.partial(_AsItIs(self.tolerance).solve, program, start=seen)
-        outcomes = list(polished) or [as_it_is()]
-        best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
-        reached = best.evaluation.objective
-        if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
-            # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
-            outcomes.append(as_it_is())
-            best = min(outcomes, key=_rank)
-        return best.with_effort_of(*(one for one in outcomes if one is not best))
 
 
 def _rank(outcome: Outcome) -> tuple[bool, float]:

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.nlp._program import NonlinearProgram, dense_rows
+from aleator.nlp._matrices import dense_rows
+from aleator.nlp._program import Evaluation, NonlinearProgram
 
 # Lengths of the steps, in typical magnitudes of the variables, and of those over which effects are measured, since an
 # exact slope may be zero at an optimum.
@@ -57,62 +58,65 @@ def slopes_at(program: NonlinearProgram, point: Float[np.ndarray, " n"]) -> Slop
 
     Where these suggest a kink, a jump or a wrong slope, up to 32 more tell it from a row that is smooth but steep.
     """
-    here = program.evaluate(point)
-    value = np.append(here.objective, here.constraints)
-    whole = np.concatenate([here.gradient[None], dense_rows(here.jacobian, np.arange(here.constraints.size))])
-    found = whole * program.variable_scale
+    here, scale = program.evaluate(point), program.variable_scale
+    value, found = _values(here), _derivatives(here) * scale
     noise = _ROUNDINGS * np.finfo(float).eps * np.abs(value)
 
-    def side(which: int, step: float) -> Float[np.ndarray, " rows"]:
-        """The slopes of all rows by a variable, seen over a step."""
-        moved = point.copy()
-        moved[which] += step * program.variable_scale[which]
-        moved[which] = np.clip(moved[which], program.lower[which], program.upper[which])
-        actual = (moved[which] - point[which]) / program.variable_scale[which]
-        if abs(actual) < abs(step) / 2:
-            return np.full(value.size, np.nan)
-        there = program.evaluate(moved)
-        with np.errstate(invalid="ignore", over="ignore"):
-            slopes = (np.append(there.objective, there.constraints) - value) / actual
-        return np.where(np.isfinite(slopes), slopes, np.nan)
+    def sides(which: int, step: float) -> Float[np.ndarray, "2 rows"]:
+        """The slopes of all rows by a variable, seen over a step to both sides."""
+        seen = np.full((2, value.size), np.nan)
+        for slopes, length in zip(seen, (-step, step), strict=True):
+            moved = point.copy()
+            moved[which] = np.clip(point[which] + length * scale[which], program.lower[which], program.upper[which])
+            actual = (moved[which] - point[which]) / scale[which]
+            if abs(actual) >= step / 2:
+                with np.errstate(invalid="ignore", over="ignore"):
+                    slopes[:] = (_values(program.evaluate(moved)) - value) / actual
+        return np.where(np.isfinite(seen), seen, np.nan)
 
     # What is not finite hides nothing of the others. Infinite slopes make others of their row NaN.
     exact, infinite = np.where(np.isfinite(found), found, np.nan), np.isinf(found)
     endless = infinite | (np.isnan(found) & ~infinite.any(axis=1, keepdims=True))
-    shape = (len(_STEPS) + 1, 2, point.size, value.size)
-    seen = [[[side(i, one) for i in range(point.size)] for one in (-step, step)] for step in (*_STEPS, _FAR)]
-    every = np.swapaxes(np.array(seen).reshape(shape), -1, -2)
-    sides, far = every[:-1], every[-1]
-    known = np.abs(np.nan_to_num(np.concatenate([exact[None], *sides]), nan=0.0, posinf=0.0, neginf=0.0))
+    # By steps, sides, rows and variables.
+    every = np.array([[sides(i, step) for step in (*_STEPS, _FAR)] for i in range(point.size)])
+    *near, far = np.moveaxis(every.reshape(point.size, len(_STEPS) + 1, 2, value.size), 0, -1)
+    seen = np.array(near)
+    known = np.nan_to_num(np.abs([exact, *seen.reshape(-1, *exact.shape)]))
     # What shows at each step, beyond rounding.
     shows = noise[:, None] / np.array(_STEPS)[:, None, None] + _SHOWS * known.max(axis=(0, 2), initial=0.0)[:, None]
-    gaps = np.abs(sides[:, 1] - sides[:, 0])
+    gaps = np.abs(seen[:, 1] - seen[:, 0])
     wide = gaps > shows
     ratios = np.divide(gaps[1:], gaps[:-1], out=np.zeros_like(gaps[1:]), where=gaps[:-1] > 0)
     appears = ((wide[:-1] & (ratios > _KINK)) | (gaps[:-1] == 0)) & wide[1:]
     jumps = (wide[1:] & wide[:-1] & (ratios > _JUMP)).any(axis=0)
-    low, high = np.fmin(sides[:, 0], sides[:, 1]), np.fmax(sides[:, 0], sides[:, 1])
+    low, high = np.fmin(seen[:, 0], seen[:, 1]), np.fmax(seen[:, 0], seen[:, 1])
     with np.errstate(invalid="ignore"):
         outside = np.fmax(low - exact, exact - high) > np.fmax(high - low, 0.0) + shows
     broken = np.stack([appears.any(axis=0) & ~jumps, jumps, outside.all(axis=0) & ~jumps]) & np.isfinite(found)
     for i in np.flatnonzero(broken.any(axis=(0, 1))).tolist():
-        lengths = _LADDER[_LADDER * program.variable_scale[i] > _ROUNDINGS * np.spacing(abs(point[i]))]
-        ladder = np.array([[side(i, -step), side(i, step)] for step in lengths.tolist()])
-        is_steep = _is_steep(exact[:, i], ladder.reshape(-1, 2, value.size), noise / lengths[:, None])
-        broken[:, is_steep, i] = False
+        lengths = _LADDER[_LADDER * scale[i] > _ROUNDINGS * np.spacing(abs(point[i]))]
+        ladder = np.array([sides(i, step) for step in lengths.tolist()]).reshape(-1, 2, value.size)
+        broken[:, _is_steep(exact[:, i], ladder, noise / lengths[:, None]), i] = False
     # At a bound one side is not seen: a derivative that is right a step away from it shows a kink, not a wrong rule.
-    unseen = np.isnan(sides[0]).all(axis=1)
+    unseen = np.isnan(seen[0]).all(axis=1)
     for i in np.flatnonzero(broken[2].any(axis=0) & unseen.any(axis=0)).tolist():
-        moved, toward = point.copy(), 1.0 if unseen[0, i] else -1.0
-        moved[i] += toward * _STEPS[0] * program.variable_scale[i]
-        there, slopes = program.evaluate(moved), sides[0, int(unseen[0, i]), :, i]
-        every = np.append(there.gradient[i], dense_rows(there.jacobian, np.arange(there.constraints.size))[:, i])
-        away = np.abs(every * program.variable_scale[i] - slopes)
+        moved, is_below = point.copy(), int(unseen[0, i])
+        moved[i] += (2 * is_below - 1) * _STEPS[0] * scale[i]
+        slopes = seen[0, is_below, :, i]
+        away = np.abs(_derivatives(program.evaluate(moved))[:, i] * scale[i] - slopes)
         is_kink = broken[2, :, i] & (away < _SAME_BEYOND * np.abs(exact[:, i] - slopes))
         broken[0, is_kink, i], broken[2, is_kink, i] = True, False
     effects = np.fmax(np.nan_to_num(np.abs(exact)), np.nan_to_num(np.fmax(*np.abs(far))))
-    (left, right), (kinks, jumps, wrong) = sides[-1], broken
+    (left, right), (kinks, jumps, wrong) = seen[-1], broken
     return Slopes(found, left, right, effects, kinks, jumps, wrong, endless)
+
+
+def _values(there: Evaluation) -> Float[np.ndarray, " rows"]:
+    return np.append(there.objective, there.constraints)
+
+
+def _derivatives(there: Evaluation) -> Float[np.ndarray, "rows n"]:
+    return np.concatenate([there.gradient[None], dense_rows(there.jacobian)])
 
 
 def _is_steep(
@@ -180,20 +184,37 @@ def missed_slope(
 
     The rows that hold the point are among them, by their multipliers.
     """
-    here = program.evaluate(point)
-    along, sides, lengths = probe_at(program, point) if probe is None else probe
-    exact = float((here.gradient + multipliers @ here.jacobian) @ along)
-
-    def slope(step: float) -> float:
-        there = program.evaluate(point + step * along)
-        change = there.objective - here.objective + float(multipliers @ (there.constraints - here.constraints))
-        return change / step
-
-    slopes = np.array([[slope(side * step) for side in sides] for step in lengths])
+    along, sides, lengths = probe or probe_at(program, point)
+    line = line_of(program, point, along, multipliers)
+    here = line.evaluate(line.start)
+    exact, steps = float(here.gradient[0]), np.array([[side * step for side in sides] for step in lengths])
+    values = np.array([line.evaluate(np.array([step])).objective for step in steps.ravel()]).reshape(steps.shape)
+    slopes = (values - here.objective) / steps
     if not np.isfinite(slopes).all():
         return None
     least, most = slopes.min(axis=1), slopes.max(axis=1)
     first, last = np.maximum(least - exact, exact - most) - (most - least)
-    size = abs(here.objective) + float(np.abs(multipliers) @ np.abs(here.constraints)) + np.abs(slopes).max()
-    is_missed = last > _MATTERS * size and first / _SAME < last < _SAME * first
+    is_missed = last > _MATTERS * (here.objective + np.abs(slopes).max()) and first / _SAME < last < _SAME * first
     return Miss(float(slopes[-1].mean()), exact) if is_missed else None
+
+
+def line_of(
+    program: NonlinearProgram,
+    point: Float[np.ndarray, " n"],
+    direction: Float[np.ndarray, " n"],
+    multipliers: Float[np.ndarray, " m"],
+) -> NonlinearProgram:
+    """The Lagrangian without constraints as a function of the steps along a direction; its value is that of its terms,
+    to which rounding is relative.
+    """
+    here = program.evaluate(point)
+    terms = abs(here.objective) + float(np.abs(multipliers) @ np.abs(here.constraints))
+
+    def evaluate(step: Float[np.ndarray, " 1"]) -> Evaluation:
+        there = program.evaluate(np.clip(point + step * direction, program.lower, program.upper))
+        change = there.objective - here.objective + float(multipliers @ (there.constraints - here.constraints))
+        slope = (there.gradient + multipliers @ there.jacobian) @ direction
+        return Evaluation(terms + change, np.array([slope]), nothing, np.zeros((0, 1)))
+
+    start, nothing = np.zeros(1), np.zeros(0)
+    return NonlinearProgram(evaluate, start, start - np.inf, start + np.inf, nothing, nothing, nothing, start + 1.0)

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core import border
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn
 from aleator.nlp._program import Evaluation, NonlinearProgram
 
@@ -75,11 +74,10 @@ class Outcome:
     - `evaluation`: the model's values and derivatives at `point`;
     - `multipliers`: of the constraints, shape (m,), units of objective per constraint;
     - `bound_multipliers`: of the variables' bounds, shape (n,), units of objective per variable;
-    - `violation`: largest violation of a constraint over its size (`sizes`), dimensionless;
-    - `stationarity`: largest component of the scaled Lagrangian's gradient, relative to the terms that cancel in it or
-      to its change over a typical magnitude, whichever is larger. If the objective is even closer to its lower bound
-      (`NonlinearProgram.least`): its distance from that, relative to its change over a typical magnitude;
-    - `complementarity`: largest product of a scaled multiplier and its slack, over the largest multiplier if above 1;
+    - `violation`, `stationarity`, `complementarity`: see `Certificate`; constraints are divided by their `sizes`, the
+      objective so that its terms, or the change of its gradient over a typical magnitude, are one. If the objective is
+      even closer to its lower bound (`NonlinearProgram.least`): its distance from that, relative to its change over a
+      typical magnitude;
     - `iterations`: the solver's count, over all restarts;
     - `evaluations`: number of points at which `evaluate` was called;
     - `seconds`: wall-clock time;
@@ -175,9 +173,8 @@ class AbstractSolver(abc.ABC):
         - `multipliers`: of the constraints, shape (m,), from an earlier `Outcome`, for a warm start;
         - `start`: replaces `program.start`, shape (n,); clipped to the bounds.
 
-        Raises `ProblemError` if `start` or `multipliers` have the wrong shape or are not finite, `MissingExtraError`
-        if the solver's library is not installed, and any exception of `program.evaluate` except `KeyboardInterrupt`,
-        which ends the solve with `Status.INTERRUPTED`.
+        Raises `MissingExtraError` if the solver's library is not installed, and any exception of `program.evaluate`
+        except `KeyboardInterrupt`, which ends the solve with `Status.INTERRUPTED`.
         """
 
     @property
@@ -192,11 +189,3 @@ class AbstractSolver(abc.ABC):
 
     def require(self) -> None:  # noqa: B027 -- most solvers need nothing beyond the package's own dependencies
         """Raise `MissingExtraError` if the library is not installed."""
-
-
-def checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """A finite array of the expected shape. Raises `ProblemError`."""
-    array = np.array(value, dtype=float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ProblemError(f"Expected finite `{name}` of shape {shape}. Received shape {array.shape}: {array}.")
-    return array

@@ -1,6 +1,5 @@
 """The points that a search evaluates: in a box, by one number each, within a budget, the best of them kept."""
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
@@ -10,7 +9,6 @@ import scipy
 from jaxtyping import Float
 
 from aleator._core.border import Progress
-from aleator._core.errors import ProblemError
 from aleator.nlp._program import NonlinearProgram
 
 # Points that are compared with one another at most, among them all of the best.
@@ -18,7 +16,7 @@ _COMPARED, _BEST = 2500, 500
 # A point begins a basin of its own if none within this distance, a part of the box, is better.
 _APART = 0.05
 # A point that violates a constraint by no more than this is near enough for derivatives.
-_NEAR = 1e-2
+NEAR = 1e-2
 # The merit of a point that cannot be evaluated, in spreads of the objective: worse than any other.
 _WALL = 1e6
 # A spread of the objective below this part of it is rounding.
@@ -30,8 +28,10 @@ class EndedError(Exception):
     """A search must end: its budget is spent, or the user or the model stopped it."""
 
 
-class _Points(NamedTuple):
-    """Points with what is known of each: an objective that is not a number where the model could not be evaluated."""
+class Found(NamedTuple):
+    """Points with what is known of each: an objective that is not a number where the model could not be evaluated, and
+    the largest violation.
+    """
 
     points: Float[np.ndarray, "k n"]
     objectives: Float[np.ndarray, " k"]
@@ -49,7 +49,7 @@ class Sought:
     - `budget`: how many points may be evaluated, and for how long, s;
     - `size`: the number of free variables; `start`: shape (size,);
     - `lower`, `upper`: bounds in these coordinates, shape (size,), infinite where there is none;
-    - `count`: of points evaluated; `limit`: the number at which the present round ends;
+    - `found`: the points evaluated, in order; `limit`: the number at which the present round ends;
     - `weight`: that of violations;
     - `halt`: what stopped the search, if anything did; `end`: why it ended, in words.
     """
@@ -77,9 +77,8 @@ class Sought:
         self.halt: BaseException | None = None
         self.end = "its method ended"
         self._began = time.perf_counter()
-        self.count = 0
         self._spread = 0.0
-        self._parts = [_Points(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
+        self.found = Found(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))
 
     @property
     def bounds(self) -> Any:
@@ -87,19 +86,9 @@ class Sought:
         return scipy.optimize.Bounds(self.lower, self.upper)
 
     @property
-    def is_constrained(self) -> bool:
-        """Whether there are constraints."""
-        return bool(np.isfinite(self._program.limits).any())
-
-    def begin_round(self, weight: float, share: float) -> None:
-        """Weigh violations anew, with a share of what is left of the budget."""
-        self.weight = weight
-        self.limit = self.count + math.ceil(share * (self._most - self.count))
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no further point may be evaluated."""
-        return self.halt is not None or self.is_spent
+    def count(self) -> int:
+        """How many points were evaluated."""
+        return len(self.found.objectives)
 
     @property
     def is_spent(self) -> bool:
@@ -107,14 +96,14 @@ class Sought:
         return self.count >= self._most or (self.count > 0 and self.seconds >= self._longest)
 
     @property
+    def is_over(self) -> bool:
+        """Whether no further point may be evaluated."""
+        return self.halt is not None or self.is_spent
+
+    @property
     def seconds(self) -> float:
         """The time since the search began."""
         return time.perf_counter() - self._began
-
-    @property
-    def history(self) -> tuple[Float[np.ndarray, " evaluations"], Float[np.ndarray, " evaluations"]]:
-        """The objective and the largest violation of every point, in order."""
-        return self._every.objectives, self._every.violations
 
     def merits(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
         """The merits of some points, which are clipped to the bounds, from one call of the model.
@@ -140,99 +129,66 @@ class Sought:
         A point near a better one belongs to the same basin (Rinnooy Kan and Timmer 1987). Points that violate little
         are ranked by their objective, which the penalty of a late round would hide.
         """
-        kept = self._finite
-        near = kept.violations <= max(_NEAR, 2 * np.min(kept.violations, initial=np.inf))
-        ranked = kept.points[np.lexsort((np.where(near, kept.objectives, kept.violations), ~near))]
-        rest = ranked[_BEST:]
-        ranked = np.concatenate([ranked[:_BEST], rest[:: -(-len(rest) // _COMPARED) or 1]])
+        least = np.min(self.found.violations, initial=np.inf, where=np.isfinite(self.found.objectives))
+        points = self.ranked(max(NEAR, 2 * least)).points
+        ranked = np.concatenate([points[:_BEST], points[_BEST :: 1 + max(len(points) - _BEST, 0) // _COMPARED]])
         chosen: list[Float[np.ndarray, " size"]] = []
         for rank, point in enumerate(ranked):
             if len(chosen) == most:
                 break
             if not (np.abs(ranked[:rank] - point).max(axis=1, initial=0.0) < _APART).any():
                 chosen.append(point)
-        return [self._unscaled(one[None])[0] for one in chosen or [self.start]]
+        return [self.unscaled(one[None])[0] for one in chosen]
 
-    def least(self) -> tuple[Float[np.ndarray, " size"], bool]:
-        """The point of least merit, and whether it is almost feasible; the start if no point could be evaluated."""
-        kept = self._finite
-        if not len(kept.points):
-            return self.start, False
-        least = np.argmin(self._merits(kept))
-        return kept.points[least], bool(kept.violations[least] <= _NEAR)
-
-    def best_held(self, violation: float) -> tuple[Float[np.ndarray, " n"], float]:
-        """The point of least objective that violates nothing by more, in the user's units, and its objective.
-
-        The first of the candidates, and infinity, if there is none.
+    def ranked(self, violation: float) -> Found:
+        """The points that could be evaluated: those that violate nothing by more, by objective, then others, by
+        violation; the start, if there is none.
         """
-        kept = self._finite
-        objectives = np.where(kept.violations <= violation, kept.objectives, np.inf)
-        if np.min(objectives, initial=np.inf) == np.inf:
-            return self.candidates(1)[0], np.inf
-        least = int(np.argmin(objectives))
-        return self._unscaled(kept.points[[least]])[0], float(objectives[least])
+        known = np.isfinite(self.found.objectives)
+        if not known.any():
+            return Found(self.start[None], np.array([np.inf]), np.array([np.inf]))
+        _, objectives, violations = self.found
+        outside = violations > violation
+        order = np.lexsort((np.where(outside, violations, objectives), outside, ~known))[: known.sum()]
+        return Found(*(part[order] for part in self.found))
 
-    def _merits(self, found: _Points) -> Float[np.ndarray, " k"]:
-        if not self._spread:
-            self._spread = _spread(found.objectives)
+    def _merits(self, found: Found) -> Float[np.ndarray, " k"]:
         known = np.isfinite(found.objectives)
+        self._spread = self._spread or _spread(found.objectives[known])
         merits = np.where(known, found.objectives, 0.0) / (self._spread or 1.0) + self.weight * found.violations
         return np.where(known, np.minimum(merits, _WALL), _WALL)
 
-    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> _Points:
+    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> Found:
+        program, places = self._program, self.unscaled(points)
         try:
             self._heed()
-            objectives, constraints = self._values(self._unscaled(points))
+            if program.values is not None:
+                objectives, constraints = program.values(places)
+            else:
+                every = [program.evaluate(one) for one in places]
+                objectives, constraints = (np.array([one[part] for one in every]) for part in (0, 2))
         except BaseException as error:
             self.halt = error
             raise EndedError from error
         known = np.isfinite(objectives) & np.isfinite(constraints).all(axis=1)
         with np.errstate(invalid="ignore"):
-            beyond = self._program.limits.excess(constraints) / self._program.constraint_scale
-            worst = np.max(beyond, axis=1, initial=0.0)
-        found = _Points(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
-        self._parts.append(found)
-        self.count += len(points)
+            worst = np.max(program.limits.excess(constraints) / program.constraint_scale, axis=1, initial=0.0)
+        found = Found(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
+        self.found = Found(*(np.concatenate(both) for both in zip(self.found, found, strict=True)))
         self._progress("search", self.count, self._most)
         return found
 
-    def _values(self, points: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
-        program, shape = self._program, (len(points), len(self._program.constraint_lower))
-        if program.values is None:
-            found = [program.evaluate(one) for one in points]
-            constraints = np.array([one.constraints for one in found]).reshape(shape)
-            return np.array([one.objective for one in found]), constraints
-        objectives, constraints = map(np.asarray, program.values(points))
-        if objectives.shape != shape[:1] or constraints.shape != shape:
-            raise ProblemError(
-                f"Expected `values` of shapes {shape[:1]} and {shape}. "
-                f"Received {objectives.shape} and {constraints.shape}."
-            )
-        return objectives, constraints
-
-    @property
-    def _every(self) -> _Points:
-        self._parts = [_Points(*map(np.concatenate, zip(*self._parts, strict=True)))]
-        return self._parts[0]
-
-    @property
-    def _finite(self) -> _Points:
-        every = self._every
-        return _Points(*(part[np.isfinite(every.objectives)] for part in every))
-
-    def _unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
+    def unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
+        """Points in the user's units."""
         every = np.tile(self._fixed, (len(points), 1))
         every[:, self._free] = self._origin + points * self._length
         return np.clip(every, self._program.lower, self._program.upper)
 
 
 def _spread(objectives: Float[np.ndarray, " k"]) -> float:
-    """How far finite objectives differ: the middle half of them, else all."""
-    known = objectives[np.isfinite(objectives)]
-    if not len(known):
+    """How far objectives differ: the middle half of them, else all; zero if they do by rounding alone."""
+    if not objectives.size:
         return 0.0
-    size = _ROUNDING * float(np.abs(known).max())
-    first, last = np.quantile(known, [0.25, 0.75])
-    half, all_ = float(last - first), float(np.ptp(known))
-    return half if half > size else all_ if all_ > size else 0.0
+    half = float(np.subtract(*np.quantile(objectives, [0.75, 0.25])))
+    size = _ROUNDING * float(np.abs(objectives).max())
+    return next((one for one in (half, float(np.ptp(objectives))) if one > size), 0.0)

@@ -12,7 +12,8 @@ from aleator._core.errors import MissingExtraError, optional
 from aleator._core.parallel import take_back
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._program import Evaluation, Pattern, rows_of_entries
+from aleator.nlp._matrices import Pattern, rows_of_entries
+from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
 from aleator.nlp._verdict import Answer
@@ -109,7 +110,7 @@ class _AbstractUno(AbstractLocalSolver):
             solver.set_option(option, value)
 
         def is_over(*_: Any) -> bool:
-            in_vain = scaled.curved is None and scaled.straightness.is_shown
+            in_vain = scaled.curved is None and scaled.evaluations.is_straight
             return scaled.evaluations.halt is not None or pattern.outgrown or in_vain
 
         solver.set_termination_callback(is_over)
