@@ -28,7 +28,6 @@ from aleator.solution import SecondOpinion as SecondOpinion
 from aleator.solution import Smoothing as Smoothing
 from aleator.solution import States as States
 from aleator.solution import Switching as Switching
-from aleator.solution import Tangent as Tangent
 from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation

@@ -5,7 +5,6 @@ from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
 from aleator.solution._certificate import Moments as Moments
 from aleator.solution._certificate import Objection as Objection
 from aleator.solution._certificate import SecondOpinion as SecondOpinion
-from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase
 from aleator.solution._certificate import WorstRealisation as WorstRealisation
 from aleator.solution._certificate import ends as ends

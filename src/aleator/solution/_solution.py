@@ -341,7 +341,7 @@ class Solution(Drawn):
                 for one in self.violated
             )
             said = (part.rstrip(".") for part in (self.status.value, broken, self.message) if part)
-            coarse = f" Perhaps for its grid: {misled}. Use more steps." if misled else ""
+            coarse = f" Perhaps for its grid: {misled}." if misled else ""
             reason = f"{'. '.join(said)}.{coarse}"
         return f"{self.effort.solver}: {reason}"
 

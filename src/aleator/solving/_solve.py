@@ -14,7 +14,7 @@ from aleator._core.errors import ProblemError, SimulationError, SolveError
 from aleator._core.executors import check_executor
 from aleator._core.journalled import journalled
 from aleator._core.parallel import dropped_on_failure, heeding, one_thread_of_blas
-from aleator.certification import Held, doubts, refinement, unconverged, with_opinion
+from aleator.certification import Held, doubts, refinement, with_opinion
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
@@ -223,11 +223,9 @@ def _solved_at_once(call: Call) -> Solution:
                 break
             solution, held = further, with_further
             solutions.append(solution)
-        reason = unconverged(solutions) if call.refine else ""
         solution = solution if held is None else with_opinion(solution, held)
         times = replace(solution.effort.times, compile_=Compiled.seconds - before)
-        effort = replace(solution.effort, at_means=at_means, times=times)
-        solution = replace(solution, effort=effort, message=reason or solution.message)
+        solution = replace(solution, effort=replace(solution.effort, at_means=at_means, times=times))
         heed()
     return solution
 

@@ -18,6 +18,7 @@ from aleator.certification import (
     Held,
     Margins,
     Oracle,
+    Shifts,
     begin_check,
     broken_at,
     check_factor,
@@ -28,7 +29,6 @@ from aleator.certification import (
     idle_scenarios,
     is_checked,
     limits_beside,
-    magnitudes_at,
     margins_for,
     misled_at,
     pieces,
@@ -52,7 +52,7 @@ from aleator.nlp import (
     least_excess,
     restart_of,
 )
-from aleator.solution import Solution, WorstCase
+from aleator.solution import TOLERATED, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
@@ -119,7 +119,6 @@ class Stages(NamedTuple):
             transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, point, known))
         # Search.
         first = transcribed.program.start if point is None else point
-        begun = magnitudes_at(transcribed, first)
         outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = looked_around(transcribed, self.solver.local, outcome, first)
@@ -129,29 +128,14 @@ class Stages(NamedTuple):
         if self.transcription.refines and oracle is None and is_elsewhere:
             transcribed, _, outcome = self._on_fine_mesh(transcribed, outcome.point)
             problem, first = transcribed.problem, outcome.point
-            begun = magnitudes_at(transcribed, first)
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
-        transcribed, outcome = held.transcribed, held.outcome
-        if outcome.status is Status.INTERRUPTED and outcome.searched is None:
+        # Judge.
+        if held.outcome.status is Status.INTERRUPTED and held.outcome.searched is None:
             raise KeyboardInterrupt
-        if outcome.failed_at is not None:
-            outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
-        if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
-            said = destabilised(problem, transcribed.decisions(outcome.point))
-            outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
-        # Judge the grid.
-        is_solved, misled = outcome.status is Status.SOLVED, ""
         is_unknown = multipliers is None and not self.transcription.is_guessed
-        if is_unknown and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
-            misled = misled_at(transcribed, first, begun, outcome.point if is_solved else None, factor)
-            if outcome.status is Status.INFEASIBLE and not misled:
-                misled = grid_error(begin_check(transcribed, outcome.point, factor)(), self.accuracy).unresolved
-        error = None
-        if held.check is not None and factor > 1:
-            error = replace(grid_error(held.check, self.accuracy), at_start=misled)
-        held = held._replace(outcome=outcome, error=error, misled="" if is_solved else misled)
+        held = self._judged(held, first if is_unknown else None, factor)
         return solution_of(held), held
 
     def answer_in_elements(
@@ -220,9 +204,9 @@ class Stages(NamedTuple):
             return outcome
         if transcribed.scenarios is not None:
             simulated = simulated.at_scenarios(transcribed.scenarios)
-        solver = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS)
-        groups, program = rows_by_name(simulated), simulated.program
-        least = least_excess(solver, program, groups, (), range(len(groups)), [program.start])
+        solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), rows_by_name(simulated)
+        start = [simulated.program.start]
+        least = least_excess(solver, simulated.program, groups, (), range(len(groups)), start)
         if least.total <= HELD:
             start = transcribed.point(simulated.decisions(least.point))
             further = self.searched(transcribed, start, None, goes_on=True)
@@ -276,78 +260,80 @@ class Stages(NamedTuple):
         An outcome that is not solved is returned unchanged.
         """
         self.heed()
-        transcribed, outcome = held.transcribed, held.outcome
-        if outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
+        problem = held.transcribed.problem
+        if held.outcome.status is not Status.SOLVED or not is_checked(problem):
             return held
-        check = begin_check(transcribed, outcome.point, factor)()
-        if factor == 1 or not self.judges_between(transcribed.problem):
-            return held._replace(check=check)
+        check = begin_check(held.transcribed, held.outcome.point, factor)()
+        held = held._replace(check=check)
+        if factor == 1 or not self.judges_between(problem):
+            return held
         between, shifts = excess_between(check)
-        held, loosest = held._replace(between=between, check=check), outcome.evaluation.objective
-        if between.is_coarse and not self.keeps_grid:
+        is_strict = self.between is not None or pieces(problem) > 0
+        held = held._replace(between=replace(between, is_strict=is_strict))
+        if not HELD < between.worst < np.inf or (between.is_coarse and not self.keeps_grid):
             return held
-        has_kinks = False
-        if HELD < between.worst < np.inf:
-            held, has_kinks = self._with_peaks(held, loosest, None, factor)
-            outcome = held.outcome
-            if outcome.status is Status.INTERRUPTED or held.check is not check:
-                return held
-        best, cost = (outcome, check, between), 0.0
-        rounds, margins, latest = [outcome], None, between
-        while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
+        peaked, has_kinks = self._with_peaks(held, held, None, factor)
+        if peaked.check is not check or peaked.outcome.status is Status.INTERRUPTED:
+            return peaked
+        first = best = held._replace(outcome=peaked.outcome)
+        rounds, margins = [first], None
+        while HELD < rounds[-1].excess < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
             margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
-            again = self._going_on(transcribed, rounds[-1], margins)
-            if again.status is Status.INTERRUPTED:
-                return held._replace(outcome=again)
-            if again.status is not Status.SOLVED:
+            again, shifts = self._held_by(margins, rounds[-1], first, factor)
+            if again.outcome.status is Status.INTERRUPTED:
+                return again
+            if again.outcome.status is not Status.SOLVED:
                 break
-            check = begin_check(transcribed, again.point, factor)()
-            latest, shifts = excess_between(check)
             rounds.append(again)
-            if latest.worst <= best[2].worst:
-                best, cost = (again, check, latest), cost_of_margins(transcribed, margins, loosest, again)
-            elif best[2].holds:
+            if again.excess <= best.excess:
+                best = again
+            elif best.excess <= TOLERATED:
                 break  # Tighter bounds may make the plan bulge more between them.
-        answer, check, between = best
-        is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
-        answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
-        between = replace(between, is_strict=is_strict, cost=cost)
-        held = held._replace(outcome=answer, between=between, check=check)
-        is_tightened = len(rounds) > 1 and best[0] is rounds[-1] and latest.worst <= HELD
-        return self._with_peaks(held, loosest, margins, factor)[0] if is_tightened and not has_kinks else held
+        is_tightened = len(rounds) > 1 and best is rounds[-1] and best.excess <= HELD
+        best = best._replace(outcome=best.outcome.with_effort_of(*(one.outcome for one in rounds if one is not best)))
+        return self._with_peaks(best, first, margins, factor)[0] if is_tightened and not has_kinks else best
 
-    def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> tuple[Held, bool]:
+    def _with_peaks(self, held: Held, loosest: Held, margins: Margins | None, factor: int) -> tuple[Held, bool]:
         """An answer with peaks limited, and values beside jumps: it does not depend on where the instants are, and its
         multipliers are slopes of the optimum. The same answer where that is not close by; and whether limits have
         kinks, at which steps shrink for ever.
 
+        - `loosest`: the answer at the instants alone;
         - `margins`: those that hold the answer, None where limits break between the instants.
         """
-        local = replace(self.solver.local, max_iterations=_MOST_STEPS)
-        transcribed, check, rounds = held.transcribed, held.check, [held.outcome]
-        while check is not None and len(rounds) <= _MOST_EXCHANGES:
-            margins = margins_for(margins, excess_between(check, margins, at_peaks=True)[1], relax=True)
+        stages, last, outcome = (
+            self._replace(solver=replace(self.solver.local, max_iterations=_MOST_STEPS)),
+            held,
+            held.outcome,
+        )
+        for _ in range(_MOST_EXCHANGES):
+            assert last.check is not None
+            margins = margins_for(margins, excess_between(last.check, margins, at_peaks=True)[1], relax=True)
             if not limits_beside(margins):
                 break
-            again = self._replace(solver=local)._going_on(transcribed, rounds[-1], margins)
-            rounds.append(again)
-            if again.status is not Status.SOLVED:
+            last, _ = stages._held_by(margins, last, loosest, factor)
+            if last.outcome.status is Status.SOLVED and last.excess <= HELD:
+                return last._replace(outcome=last.outcome.with_effort_of(outcome)), False
+            outcome = outcome.with_effort_of(last.outcome)
+            if last.outcome.status is not Status.SOLVED or last.excess > TOLERATED:
                 break
-            check = begin_check(transcribed, again.point, factor)()
-            between, _ = excess_between(check)
-            if between.worst <= HELD:
-                between = replace(between, is_strict=True, cost=cost_of_margins(transcribed, margins, loosest, again))
-                return held._replace(outcome=again.with_effort_of(*rounds[:-1]), between=between, check=check), False
-            if not between.holds:
-                break
-        interrupted = rounds[-1] if rounds[-1].status is Status.INTERRUPTED else None
-        outcome = interrupted or held.outcome.with_effort_of(*rounds[1:])
-        return held._replace(outcome=outcome), rounds[-1].status is Status.ITERATION_LIMIT
+        if last.outcome.status is Status.INTERRUPTED:
+            return last, False
+        return held._replace(outcome=outcome), last.outcome.status is Status.ITERATION_LIMIT
 
-    def _going_on(self, transcribed: AbstractTranscribed, last: Outcome, margins: Margins) -> Outcome:
-        """A search from the last one, with limits over time imposed as margins say."""
-        return self.searched(transcribed, last.point, last.multipliers, tightened(transcribed, margins), goes_on=True)
+    def _held_by(self, margins: Margins, last: Held, loosest: Held, factor: int) -> tuple[Held, Shifts]:
+        """The answer with limits over time imposed as margins say, from the last one, and what its rows require; its
+        check is the last one's where nothing was solved.
+        """
+        transcribed, program = last.transcribed, tightened(last.transcribed, margins)
+        again = self.searched(transcribed, last.outcome.point, last.outcome.multipliers, program, goes_on=True)
+        if again.status is not Status.SOLVED:
+            return last._replace(outcome=again), ()
+        check = begin_check(transcribed, again.point, factor)()
+        between, shifts = excess_between(check)
+        cost = cost_of_margins(transcribed, margins, loosest.outcome.evaluation.objective, again)
+        return last._replace(outcome=again, check=check, between=replace(between, is_strict=True, cost=cost)), shifts
 
     def _held_at_worst(self, held: Held, oracle: Oracle, factor: int) -> Held:
         """Impose limits at realisations that break them, and solve again, until none is found."""
@@ -355,21 +341,39 @@ class Stages(NamedTuple):
         while held.outcome.status is Status.SOLVED:
             transcribed, before = held.transcribed, held.outcome
             new, worst = broken_at(transcribed, oracle, before, rounds)
-            if not len(new):
-                break
-            if rounds == _MOST_SCENARIOS:
-                is_found = False
+            is_found = not len(new)
+            if is_found or rounds == _MOST_SCENARIOS:
                 break
             assert transcribed.scenarios is not None
             idle = idle_scenarios(transcribed, before.point)
             transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
             start = transcribed.point(transcribed.decisions(before.point))
             again = self.searched(transcribed, start, before.multipliers, goes_on=True)
-            held = self._held_between(Held(transcribed, again), factor)
+            held, is_found = self._held_between(Held(transcribed, again), factor), True
             held = held._replace(outcome=held.outcome.with_effort_of(before))
             rounds += 1
         worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
+
+    def _judged(self, held: Held, start: np.ndarray | None, factor: int) -> Held:
+        """What was held, with the error of its grid, and what a program says that is not solved.
+
+        - `start`: where the search began, None where it was near an answer.
+        """
+        transcribed, outcome, error, misled = held.transcribed, held.outcome, None, ""
+        problem, is_solved = transcribed.problem, outcome.status is Status.SOLVED
+        if outcome.failed_at is not None:
+            outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
+        if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
+            said = destabilised(problem, transcribed.decisions(outcome.point))
+            outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
+        if start is not None and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
+            misled = misled_at(transcribed, start, outcome.point if is_solved else None, factor)
+            if outcome.status is Status.INFEASIBLE and not misled:
+                misled = grid_error(begin_check(transcribed, outcome.point, factor)(), self.accuracy).broken
+        if held.check is not None and factor > 1:
+            error = grid_error(held.check, self.accuracy)
+        return held._replace(outcome=outcome, error=error, misled=misled)
 
 
 def looked_around(
