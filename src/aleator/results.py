@@ -10,7 +10,6 @@ from aleator.analysis import Zone as Zone
 from aleator.examining import Examination as Examination
 from aleator.expansion import Unseen as Unseen
 from aleator.nlp import Searched as Searched
-from aleator.solution import AtMeans as AtMeans
 from aleator.solution import Between as Between
 from aleator.solution import Branching as Branching
 from aleator.solution import Certificate as Certificate

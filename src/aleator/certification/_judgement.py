@@ -31,7 +31,6 @@ from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, PiecewiseBasis, unseen
 from aleator.nlp import HELD, Outcome, Status, missed_slope
 from aleator.solution import (
-    MOST_NUMBERS,
     Between,
     Certificate,
     ConstraintResult,
@@ -384,17 +383,14 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     if broken is None:
         return (
             "Where the solver stopped, every simulation is finite, but the objective, a constraint or its derivative "
-            "is not: look for a root or logarithm of zero, or a division by zero, in outputs or cost curves. The "
-            f"decisions are {system_text(numbers)}."
+            "is not: look for a root or logarithm of zero, or a division by zero. The decisions are "
+            f"{system_text(numbers)}."
         )
     name, point, instant = broken
-    germ = jnp.asarray(transcribed.points[point])
-    uncertain, count = inputs_at(transcribed.places, germ, x), len(transcribed.collocation.points)
-    # The realisation's numbers take precedence: one of many failed, while all have the same decisions.
-    realised = min(len(uncertain), MOST_NUMBERS - min(len(numbers), 2))
+    germ, count = jnp.asarray(transcribed.points[point]), len(transcribed.collocation.points)
+    uncertain, where = inputs_at(transcribed.places, germ, x), f"The decisions are {system_text(numbers)}."
     place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
-    who = f"{place} ({system_text(uncertain, realised)})" if uncertain else ""
-    where = f"The decisions are {system_text(numbers, MOST_NUMBERS - realised)}."
+    who = f"{place} ({system_text(uncertain)})" if uncertain else ""
     if reason := unsolved(transcribed.problem, germ, x):
         return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
     what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"

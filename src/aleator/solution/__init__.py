@@ -21,7 +21,6 @@ from aleator.solution._grid import States as States
 from aleator.solution._grid import Switching as Switching
 from aleator.solution._grid import system_text as system_text
 from aleator.solution._motions import Motions as Motions
-from aleator.solution._solution import AtMeans as AtMeans
 from aleator.solution._solution import Branching as Branching
 from aleator.solution._solution import ConstraintResult as ConstraintResult
 from aleator.solution._solution import Effort as Effort

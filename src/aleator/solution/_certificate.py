@@ -254,9 +254,9 @@ class Certificate(Printed):
         if worst_case is not None and not worst_case.is_found:
             worst = max(worst_case.realisations, key=lambda one: one.beyond)
             sentence = (
-                f"solved for the realisations found in {worst_case.rounds} rounds, but {worst}, {worst.beyond:.3g} "
-                "beyond its bound: each new design breaks a limit on the worst case at another realisation. Narrow the "
-                "distributions, or give the optimiser fewer decisions"
+                f"solved for the realisations found so far, but others break a limit. After {worst_case.rounds} rounds "
+                f"{worst}, {worst.beyond:.3g} beyond its bound: each new design breaks it at another realisation. "
+                "Narrow the distributions, or give the optimiser fewer decisions"
             )
             yield Objection("the worst case breaks a limit", sentence)
 

@@ -16,27 +16,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from aleator._core.errors import ProblemError
-from aleator.certification import (
-    OWN_ERROR,
-    Held,
+from aleator.certification._between import (
     Margins,
     Shift,
     Shifts,
-    begin_check,
-    check_factor,
     cost_of_margins,
-    diagnose,
     excess_between,
-    grid_error,
-    is_checked,
     margins_for,
-    pieces,
-    prepare_check,
-    solution_of,
     tightened,
-    with_opinion,
-    worth_imposing,
 )
+from aleator.certification._check import begin_check
+from aleator.certification._grids import OWN_ERROR, grid_error
+from aleator.certification._judgement import Held, diagnose, solution_of, with_opinion
+from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
+from aleator.certification._worst_case import worth_imposing
 from aleator.design import Peak, Problem, declared_anew, functionals_of, value, with_simulation
 from aleator.ensemble import corners_of, spread_over
 from aleator.nlp import HELD, AbstractSearch, Evaluation, NonlinearProgram, Outcome, Status
@@ -264,7 +257,7 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
         answer = outcome, scenarios, [Held(transcribed, one) for one in game.within(scenarios, outcome)]
     is_found = outcome.status is not Status.SOLVED or not new
     worst_case = WorstCase((), np.zeros((0, 0)), rounds, searched, is_found, "values of the intervals")
-    return _solution(stages, game, *answer, worst_case)
+    return _solution(game, *answer, worst_case)
 
 
 def _begun(
@@ -332,7 +325,6 @@ def _checked(
 
 
 def _solution(
-    stages: Stages,
     game: Game,
     outcome: Outcome,
     scenarios: Sequence[Scenario],

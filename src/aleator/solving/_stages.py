@@ -14,28 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.certification import (
-    Held,
-    Margins,
+from aleator.certification._between import cost_of_margins, excess_between, limits_beside, margins_for, tightened
+from aleator.certification._check import begin_check
+from aleator.certification._grids import grid_error, misled_at
+from aleator.certification._judgement import Held, diagnose, solution_of
+from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
+from aleator.certification._worst_case import (
     Oracle,
-    Shifts,
-    begin_check,
     broken_at,
-    check_factor,
-    cost_of_margins,
-    diagnose,
-    excess_between,
-    grid_error,
     idle_scenarios,
-    is_checked,
-    limits_beside,
-    margins_for,
-    misled_at,
-    pieces,
-    prepare_check,
     scenarios_at_start,
-    solution_of,
-    tightened,
     worst_case_limits,
     worst_case_of,
 )
@@ -67,8 +55,8 @@ from aleator.transcription import (
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
 
-# How often at most: an answer is left for a better one, bounds are tightened, peaks are imposed, scenarios are added.
-_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 20
+# How often at most: an answer is left for a better one, limits are held between the instants, scenarios are added.
+_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
 # Iterations from an answer to a close one with peaks limited.
 _MOST_STEPS = 20
 # Iterations to a design that meets the limits, or to the least excess, however few the search itself was allowed.
@@ -254,86 +242,50 @@ class Stages(NamedTuple):
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
     def _held_between(self, held: Held, factor: int) -> Held:
-        """Limit what breaks between the instants, and solve again: peaks and values beside jumps at once, or, where no
-        answer close by follows from that, bounds tightened at the instants until limits hold, and peaks from there.
+        """Limit what breaks between the instants, and solve again until limits hold there: peaks and values beside
+        jumps, so that the answer does not depend on where the instants are and its multipliers are slopes of the
+        optimum; or, where no answer close by follows from that, by bounds tightened at the instants alone.
 
         An outcome that is not solved is returned unchanged.
         """
         self.heed()
-        problem = held.transcribed.problem
+        transcribed, problem = held.transcribed, held.transcribed.problem
         if held.outcome.status is not Status.SOLVED or not is_checked(problem):
             return held
-        check = begin_check(held.transcribed, held.outcome.point, factor)()
-        held = held._replace(check=check)
+        check = begin_check(transcribed, held.outcome.point, factor)()
         if factor == 1 or not self.judges_between(problem):
-            return held
-        between, shifts = excess_between(check)
+            return held._replace(check=check)
+        between, _ = excess_between(check)
         is_strict = self.between is not None or pieces(problem) > 0
-        held = held._replace(between=replace(between, is_strict=is_strict))
-        if not HELD < between.worst < np.inf or (between.is_coarse and not self.keeps_grid):
-            return held
-        peaked, has_kinks = self._with_peaks(held, held, None, factor)
-        if peaked.check is not check or peaked.outcome.status is Status.INTERRUPTED:
-            return peaked
-        first = best = held._replace(outcome=peaked.outcome)
-        rounds, margins = [first], None
-        while HELD < rounds[-1].excess < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
-            # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
-            margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
-            again, shifts = self._held_by(margins, rounds[-1], first, factor)
-            if again.outcome.status is Status.INTERRUPTED:
-                return again
-            if again.outcome.status is not Status.SOLVED:
-                break
-            rounds.append(again)
-            if again.excess <= best.excess:
-                best = again
-            elif best.excess <= TOLERATED:
-                break  # Tighter bounds may make the plan bulge more between them.
-        is_tightened = len(rounds) > 1 and best is rounds[-1] and best.excess <= HELD
-        best = best._replace(outcome=best.outcome.with_effort_of(*(one.outcome for one in rounds if one is not best)))
-        return self._with_peaks(best, first, margins, factor)[0] if is_tightened and not has_kinks else best
-
-    def _with_peaks(self, held: Held, loosest: Held, margins: Margins | None, factor: int) -> tuple[Held, bool]:
-        """An answer with peaks limited, and values beside jumps: it does not depend on where the instants are, and its
-        multipliers are slopes of the optimum. The same answer where that is not close by; and whether limits have
-        kinks, at which steps shrink for ever.
-
-        - `loosest`: the answer at the instants alone;
-        - `margins`: those that hold the answer, None where limits break between the instants.
-        """
-        stages, last, outcome = (
-            self._replace(solver=replace(self.solver.local, max_iterations=_MOST_STEPS)),
-            held,
-            held.outcome,
-        )
-        for _ in range(_MOST_EXCHANGES):
+        first = best = last = held._replace(check=check, between=replace(between, is_strict=is_strict))
+        margins, at_peaks, tried = None, True, []
+        is_over = between.is_coarse and not self.keeps_grid
+        while not is_over and HELD < last.excess < np.inf and len(tried) < _MOST_TIGHTENINGS:
             assert last.check is not None
-            margins = margins_for(margins, excess_between(last.check, margins, at_peaks=True)[1], relax=True)
-            if not limits_beside(margins):
-                break
-            last, _ = stages._held_by(margins, last, loosest, factor)
-            if last.outcome.status is Status.SOLVED and last.excess <= HELD:
-                return last._replace(outcome=last.outcome.with_effort_of(outcome)), False
-            outcome = outcome.with_effort_of(last.outcome)
-            if last.outcome.status is not Status.SOLVED or last.excess > TOLERATED:
-                break
-        if last.outcome.status is Status.INTERRUPTED:
-            return last, False
-        return held._replace(outcome=outcome), last.outcome.status is Status.ITERATION_LIMIT
-
-    def _held_by(self, margins: Margins, last: Held, loosest: Held, factor: int) -> tuple[Held, Shifts]:
-        """The answer with limits over time imposed as margins say, from the last one, and what its rows require; its
-        check is the last one's where nothing was solved.
-        """
-        transcribed, program = last.transcribed, tightened(last.transcribed, margins)
-        again = self.searched(transcribed, last.outcome.point, last.outcome.multipliers, program, goes_on=True)
-        if again.status is not Status.SOLVED:
-            return last._replace(outcome=again), ()
-        check = begin_check(transcribed, again.point, factor)()
-        between, shifts = excess_between(check)
-        cost = cost_of_margins(transcribed, margins, loosest.outcome.evaluation.objective, again)
-        return last._replace(outcome=again, check=check, between=replace(between, is_strict=True, cost=cost)), shifts
+            _, shifts = excess_between(last.check, margins, at_peaks=at_peaks)
+            # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
+            margins = margins_for(margins, shifts, relax=at_peaks or len(tried) <= _MOST_TIGHTENINGS // 2)
+            at_peaks = at_peaks and limits_beside(margins)
+            local = replace(self.solver.local, max_iterations=_MOST_STEPS) if at_peaks else self.solver.local
+            program, begun = tightened(transcribed, margins), last.outcome
+            again = self._replace(solver=local).searched(transcribed, begun.point, begun.multipliers, program)
+            tried.append(again)
+            if again.status is Status.INTERRUPTED:
+                return last._replace(outcome=again)
+            if again.status is Status.SOLVED:
+                check = begin_check(transcribed, again.point, factor)()
+                cost = cost_of_margins(transcribed, margins, first.outcome.evaluation.objective, again)
+                between = replace(excess_between(check)[0], is_strict=True, cost=cost)
+                further = held._replace(outcome=again, check=check, between=between)
+                if not at_peaks or further.excess <= TOLERATED:
+                    # Tighter bounds may make the plan bulge more between them.
+                    is_over = further.excess > best.excess and best.excess <= TOLERATED
+                    best, last = further if further.excess <= best.excess else best, further
+                    continue
+            # Limits have kinks, at which steps shrink for ever, or another answer follows.
+            is_over, at_peaks, margins, last = not at_peaks, False, None, first
+        others = (one for one in (first.outcome, *tried) if one is not best.outcome)
+        return best._replace(outcome=best.outcome.with_effort_of(*others))
 
     def _held_at_worst(self, held: Held, oracle: Oracle, factor: int) -> Held:
         """Impose limits at realisations that break them, and solve again, until none is found."""
