@@ -229,17 +229,6 @@ class Check:
         each = self.functionals.items()
         return replace(self, systems=systems, functionals={one: checked(one, own) for one, own in each})
 
-    def joined(self, other: "Check") -> "Check":
-        """The same with the fresh systems of another check besides its own."""
-
-        def both(one: AbstractFunctional, own: Checked) -> Checked:
-            parts = ("fresh", "predicted", "weights")
-            pairs = {name: (getattr(own, name), getattr(other.functionals[one], name)) for name in parts}
-            return replace(own, **{name: np.concatenate(pair) for name, pair in pairs.items()})
-
-        systems, each = FreshSystems.joined((self.systems, other.systems)), self.functionals.items()
-        return replace(self, systems=systems, functionals={one: both(one, own) for one, own in each})
-
     def at_instants(self, number: int) -> Float[np.ndarray, " some"]:
         """The rows of a constraint at the instants of the problem's own grid, by its program."""
         return self.transcribed.at_instants(self.problem.constraints[number], self.meaning.constraints[number])

@@ -67,18 +67,15 @@ def second_opinion(check: Check) -> SecondOpinion | None:
     if not count or not check.functionals:
         return None
 
-    def grown(known: Check, total: int) -> Check:
-        draws = range(len(known.systems.points) // count, total // count)
-        return (
-            known.joined(check.of(FreshSystems.joined(systems_of(problem, one) for one in draws))) if draws else known
-        )
+    def grown(total: int) -> Check:
+        draws = range(total // count)
+        return check.of(FreshSystems.joined(systems_of(problem, one) for one in draws)) if len(draws) > 1 else check
 
     least, most = check.systems.least_and_most
     # Few systems tell nothing of third and fourth powers.
-    known = grown(check, most if has_shape(problem.expressions) else least)
-    opinion, has_outlier = _opinion(known, _RARE)
+    opinion, has_outlier = _opinion(grown(most if has_shape(problem.expressions) else least), _RARE)
     if not opinion.broken and (has_outlier or not opinion.agrees):
-        opinion, _ = _opinion(grown(known, most), _SHOWN)
+        opinion, _ = _opinion(grown(most), _SHOWN)
     if opinion.broken:
         return opinion
     objections = list(tail_objections(check, opinion.misses))

@@ -3,7 +3,7 @@ expansion.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -53,23 +53,19 @@ class Reached(NamedTuple):
       limit is not over time.
     """
 
-    beyond: Float[np.ndarray, "points limits"]
-    value: Float[np.ndarray, "points limits"]
-    time: Float[np.ndarray, "points limits"]
+    beyond: Float[Any, "points limits"]
+    value: Float[Any, "points limits"]
+    time: Float[Any, "points limits"]
 
 
-def _reached(
-    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
-) -> tuple[Array, Array, Array]:
-    """The parts of `Reached`."""
+def _reached(problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]) -> Reached:
     limits = worst_case_limits(problem)
     functionals = functionals_of(tuple(one.expression for one in limits))
     times, step = grid_at(problem, decisions).times, step_at(problem, decisions)
     numbers = named_numbers(problem.simulation, decisions)
 
-    def one(values: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-        scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
-        reached = []
+    def one(values: tuple[Array, ...]) -> Reached:
+        scope, reached = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step), []
         for limit in limits:
             value = jnp.asarray(limit.expression.evaluate(scope))
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
@@ -78,7 +74,7 @@ def _reached(
             own = instants_of(limit, problem.grid, lambda: times)
             time = own[worst * len(own) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
-        return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
+        return Reached(*map(jnp.stack, zip(*reached, strict=True)))
 
     return jax.vmap(one)(responses(problem, functionals, germ, decisions))
 
@@ -100,7 +96,7 @@ class Oracle:
 
     def __call__(self, germ: Float[np.ndarray, "points variables"], decisions: np.ndarray) -> Reached:
         self.simulated += len(germ)
-        return Reached(*in_batches(REACHED, self._traced, germ, jax_array(decisions)))
+        return in_batches(REACHED, self._traced, germ, jax_array(decisions))
 
     def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
         """Map points of the unit box into the germ's box."""
