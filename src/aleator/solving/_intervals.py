@@ -17,9 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from aleator._core.errors import ProblemError
 from aleator.certification._between import (
-    Margins,
     Shift,
-    Shifts,
     cost_of_margins,
     excess_between,
     margins_for,
@@ -28,7 +26,7 @@ from aleator.certification._between import (
 from aleator.certification._check import begin_check
 from aleator.certification._grids import OWN_ERROR, grid_error
 from aleator.certification._judgement import Held, diagnose, solution_of, with_opinion
-from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
+from aleator.certification._systems import check_factor, is_checked, prepare_check
 from aleator.certification._worst_case import worth_imposing
 from aleator.design import Peak, Problem, declared_anew, functionals_of, value, with_simulation
 from aleator.ensemble import corners_of, spread_over
@@ -241,14 +239,16 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
             scenarios = [*scenarios, *new]
             continue
         loosest = outcome.evaluation.objective if answer is None else loosest
-        cost = 0.0 if margins is None else cost_of_margins(transcribed, margins, loosest, outcome)
-        held, shifts = zip(*_checked(stages, game, outcome, scenarios, cost, margins), strict=True)
-        answer = outcome, scenarios, list(held)
+        cost = None if margins is None else cost_of_margins(transcribed, margins, loosest, outcome)
+        held = [Held(transcribed, one) for one in game.within(scenarios, outcome)]
+        held = list(_checked(stages, game, held, cost)) if is_checked(problem) else held
+        answer = outcome, scenarios, held
         if not HELD < max(one.excess for one in held) < np.inf:
             break
         # By how much bounds are to move for all scenarios.
+        shifts = (excess_between(one.check)[1] for one in held if one.check is not None)
         moved = (
-            None if some[0] is None else Shift(functools.reduce(np.maximum, (one.by for one in some)), {})
+            None if some[0] is None else Shift(functools.reduce(np.maximum, (one.by for one in some if one)), {})
             for some in zip(*shifts, strict=True)
         )
         margins = margins_for(margins, tuple(moved), relax=rounds <= _MOST_ROUNDS // 2)
@@ -296,32 +296,18 @@ def _begun(
     return begun(highest) if np.isfinite(highest) else (game, point)
 
 
-def _checked(
-    stages: Stages,
-    game: Game,
-    outcome: Outcome,
-    scenarios: Sequence[Scenario],
-    cost: float,
-    margins: Margins | None,
-) -> Iterator[tuple[Held, Shifts]]:
-    """The answer in each scenario, and what limits between the instants require; `cost`: that of present margins."""
-    transcribed, factor = game.transcribed, check_factor(game.problem, stages.between)
-    each = [Held(transcribed, one) for one in game.within(scenarios, outcome)]
-    if not is_checked(game.problem):
-        yield from ((one, ()) for one in each)
-        return
-    for one, wait in [(one, begin_check(transcribed, one.outcome.point, factor)) for one in each]:
-        check, error, between, shifts = wait(), None, None, ()
-        if factor > 1 and stages.judges_between(game.problem):
-            between, shifts = excess_between(check)
-            is_strict = stages.between is not None or margins is not None or pieces(game.problem) > 0
-            between = replace(between, is_strict=is_strict, cost=cost)
-        if factor > 1:
+def _checked(stages: Stages, game: Game, each: list[Held], cost: float | None) -> Iterator[Held]:
+    """The answer in each scenario with its check; `cost`: that of present margins, None without any."""
+    factor = check_factor(game.problem, stages.between)
+    for one, waiting in [(one, begin_check(game.transcribed, one.outcome.point, factor)) for one in each]:
+        held, error = stages.checked(one, waiting, cost), None
+        check = held.check
+        if check is not None and factor > 1:
             error = grid_error(check, stages.accuracy)
             # The objective of the program is a level, which no grid changes.
             away = float(np.max(np.abs(check.values[-1] - check.meaning.constraints[-1])))
             error = replace(error, objective=replace(error.objective, error=OWN_ERROR * away))
-        yield one._replace(check=check, between=between, error=error), shifts
+        yield held._replace(error=error)
 
 
 def _solution(

@@ -15,7 +15,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.certification._between import cost_of_margins, excess_between, limits_beside, margins_for, tightened
-from aleator.certification._check import begin_check
+from aleator.certification._check import Check, begin_check
 from aleator.certification._grids import grid_error, misled_at
 from aleator.certification._judgement import Held, diagnose, solution_of
 from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
@@ -241,6 +241,18 @@ class Stages(NamedTuple):
         """Whether limits are to hold between the instants too."""
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
+    def checked(self, held: Held, waiting: Callable[[], Check], cost: float | None = None) -> Held:
+        """What was held, with a check of its outcome, and how far limits are exceeded between the instants.
+
+        - `cost`: that of the margins by which it was found, None without any.
+        """
+        check, problem = waiting(), held.transcribed.problem
+        if check.factor == 1 or not self.judges_between(problem):
+            return held._replace(check=check)
+        is_strict = cost is not None or self.between is not None or pieces(problem) > 0
+        between = replace(excess_between(check)[0], is_strict=is_strict, cost=cost or 0.0)
+        return held._replace(check=check, between=between)
+
     def _held_between(self, held: Held, factor: int) -> Held:
         """Limit what breaks between the instants, and solve again until limits hold there: peaks and values beside
         jumps, so that the answer does not depend on where the instants are and its multipliers are slopes of the
@@ -249,17 +261,12 @@ class Stages(NamedTuple):
         An outcome that is not solved is returned unchanged.
         """
         self.heed()
-        transcribed, problem = held.transcribed, held.transcribed.problem
-        if held.outcome.status is not Status.SOLVED or not is_checked(problem):
+        transcribed = held.transcribed
+        if held.outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
             return held
-        check = begin_check(transcribed, held.outcome.point, factor)()
-        if factor == 1 or not self.judges_between(problem):
-            return held._replace(check=check)
-        between, _ = excess_between(check)
-        is_strict = self.between is not None or pieces(problem) > 0
-        first = best = last = held._replace(check=check, between=replace(between, is_strict=is_strict))
+        first = best = last = self.checked(held, begin_check(transcribed, held.outcome.point, factor))
         margins, at_peaks, tried = None, True, []
-        is_over = between.is_coarse and not self.keeps_grid
+        is_over = first.between is not None and first.between.is_coarse and not self.keeps_grid
         while not is_over and HELD < last.excess < np.inf and len(tried) < _MOST_TIGHTENINGS:
             assert last.check is not None
             _, shifts = excess_between(last.check, margins, at_peaks=at_peaks)
@@ -273,10 +280,9 @@ class Stages(NamedTuple):
             if again.status is Status.INTERRUPTED:
                 return last._replace(outcome=again)
             if again.status is Status.SOLVED:
-                check = begin_check(transcribed, again.point, factor)()
                 cost = cost_of_margins(transcribed, margins, first.outcome.evaluation.objective, again)
-                between = replace(excess_between(check)[0], is_strict=True, cost=cost)
-                further = held._replace(outcome=again, check=check, between=between)
+                waiting = begin_check(transcribed, again.point, factor)
+                further = self.checked(held._replace(outcome=again), waiting, cost)
                 if not at_peaks or further.excess <= TOLERATED:
                     # Tighter bounds may make the plan bulge more between them.
                     is_over = further.excess > best.excess and best.excess <= TOLERATED
