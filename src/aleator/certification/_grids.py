@@ -9,7 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import quietly
-from aleator.certification._check import NEGLIGIBLE_SPREAD, ROUNDING, Check, Limit, begin_check, bounded_by, row_sizes
+from aleator.certification._check import (
+    NEGLIGIBLE_SPREAD,
+    ROUNDING,
+    Check,
+    Limit,
+    begin_check,
+    bounded_by,
+    row_sizes,
+)
 from aleator.certification._systems import pieces, simulates_inside
 from aleator.design import AbstractFunctional, Peak, Problem, functionals_of, instants_of, is_over_time
 from aleator.dynamics import Instant
@@ -165,8 +173,9 @@ def misled_at(
     where the grid appears exact. So the start is checked where some functional is far larger there than at the `end`,
     or the search has failed (None).
     """
-    begun, steps = _magnitudes_at(transcribed, start), transcribed.problem.grid.steps
-    if end is not None and (begun <= _FAR_OFF * _magnitudes_at(transcribed, end)).all():
+    steps, begun = transcribed.problem.grid.steps, _magnitudes_at(transcribed, start)
+    ended = [] if end is None else _magnitudes_at(transcribed, end)
+    if ended and all(own <= _FAR_OFF * later for own, later in zip(begun, ended, strict=True)):
         return ""
     check = begin_check(transcribed, start, factor)()
     for own, (one, finer) in zip(begun, check.functionals.items(), strict=True):
@@ -180,13 +189,9 @@ def misled_at(
 
 
 @quietly
-def _magnitudes_at(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]
-) -> Float[np.ndarray, " functionals"]:
-    """The largest root mean square of each functional over the collocation points."""
-    weights = np.abs(np.asarray(transcribed.collocation.weights))
-    each = (np.asarray(samples).reshape(len(weights), -1) for samples in transcribed.at(point).samples)
-    return np.array([np.sqrt(np.max(weights @ samples**2)) for samples in each])
+def _magnitudes_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> list[float]:
+    """The largest root mean square of each functional."""
+    return [float(np.sqrt(np.max(one.mean**2 + one.std**2))) for one in transcribed.resolve(point).values()]
 
 
 def refinement(solutions: Sequence[Solution], *, between: bool) -> Problem | None:
