@@ -14,7 +14,7 @@ from aleator.solution import Deviation, GridError
 def off(objective: float, functional: float = 0.0, **options: Any) -> GridError:
     """An error of a grid of 20 steps, in parts of what is tolerated."""
     deviations = {"x": Deviation(functional, 1.0, order=options.pop("order", 4))}
-    return GridError(20, 10, "", 1e-3, Deviation(objective, 1.0), deviations, **options)
+    return GridError(20, 10, Deviation(objective, 1.0), deviations, **options)
 
 
 @pytest.mark.parametrize(

@@ -133,9 +133,7 @@ class Check:
 
     - `functionals`: each functional in the expressions; `scope`: what these follow from on the finer grid;
     - `systems`: the fresh systems; `simulations`: of any others;
-    - `factor`: how many times as many steps the finer grid has;
-    - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
-      each step was simulated from the mesh's own state; else empty.
+    - `factor`: how many times as many steps the finer grid has.
     """
 
     functionals: dict[AbstractFunctional, Checked]
@@ -143,7 +141,6 @@ class Check:
     systems: FreshSystems
     simulations: Simulations
     factor: int
-    departed: str
 
     @property
     def transcribed(self) -> AbstractTranscribed:
@@ -257,12 +254,12 @@ def begin_check(
     systems = systems_of(problem, 0) if systems is None else systems
 
     def begun(integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
-        simulations = Simulations(transcribed, point, problem.finer(factor, integrator), in_parts=bool(departed))
+        simulations = Simulations(transcribed, point, problem.finer(factor, integrator), departed)
         simulated = simulations.begin(systems)
 
         def result() -> Check:
             functionals, scope = _expanded(simulations, systems, factor, *simulated())
-            return Check(functionals, scope, systems, simulations, factor, departed)
+            return Check(functionals, scope, systems, simulations, factor)
 
         return result
 

@@ -57,12 +57,9 @@ def grid_error(check: Check, accuracy: float) -> GridError:
     order = min([one.order for one in functionals_of((problem.objective,))], default=Deviation.order)
     tolerated = max(accuracy * max(abs(objective), floor), _TINY)
     broken = max((_broken(one, accuracy) for one in check.limits), default=(0.0, ""))[1]
-    finer = check.simulations.problem
     return GridError(
         steps=problem.grid.steps,
         factor=check.factor,
-        integrator=type(finer.integrator).__name__ if finer.is_integrated else "Simpson's rule",
-        accuracy=accuracy,
         objective=Deviation(OWN_ERROR * away, tolerated, order=order),
         functionals=deviations,
         broken=broken or max(map(_unresolved, check.limits), default=(0.0, ""))[1] or _drifted(check, accuracy),
@@ -132,7 +129,7 @@ def _unresolved(limit: Limit) -> tuple[float, str]:
 
 def _drifted(check: Check, accuracy: float) -> str:
     """A sentence on errors that add up over a mesh, which no check of single steps sees; empty if they are small."""
-    if not check.departed:
+    if not check.simulations.departed:
         return ""
     drift = float(check.transcribed.meshes_at(check.point)[-1].drifts.sum(axis=1).max())
     if drift <= _IN_ALL * accuracy:

@@ -115,7 +115,7 @@ def solution_of(held: Held) -> Solution:
             worst_case=held.worst_case,
             objections=(objection,) if crossed else (),
             misled=held.misled,
-            departed="" if check is None else check.departed,
+            departed="" if check is None else check.simulations.departed,
             reaches={} if check is None else {one.text(): own.reach for one, own in check.functionals.items()},
         ),
         effort=Effort(

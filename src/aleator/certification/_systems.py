@@ -251,14 +251,14 @@ class Simulations:
     """Simulations of a problem at one point of its program.
 
     - `problem`: that on the finer grid, with its integrator;
-    - `in_parts`: whether each step of the program's own grid, or a phase that an event ends, is simulated from the
-      states of its mesh.
+    - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
+      each step of the program's own grid, or a phase that an event ends, is simulated from the states of the mesh.
     """
 
     transcribed: AbstractTranscribed
     point: Float[np.ndarray, " variables"]
     problem: Problem
-    in_parts: bool
+    departed: str
 
     @cached_property
     def _bound(self) -> Bound:
@@ -269,7 +269,7 @@ class Simulations:
         function returned waits for what is recorded of all of them, one after the other.
         """
         points, courses = _points(self.transcribed.discretised, systems), None
-        if self.in_parts:
+        if self.departed:
             count, predicted = len(self.transcribed.collocation.points), self._predicted(systems.points)
             each = self._courses.items()
             courses = {one: np.concatenate([rows[:count], predicted[one], rows[count:]]) for one, rows in each}
@@ -280,7 +280,7 @@ class Simulations:
         size, waiting = len(_points(self.transcribed.discretised, systems_of(self.problem, 0))), []
         for first in range(0, len(germ), size):
             points = fill(germ[first : first + size], size)
-            waiting.append(self._begin(points, self._predicted(points) if self.in_parts else None))
+            waiting.append(self._begin(points, self._predicted(points) if self.departed else None))
         runs = [wait()[0] for wait in waiting]
         return {one: np.concatenate([run[one] for run in runs])[: len(germ)] for one in runs[0]}
 

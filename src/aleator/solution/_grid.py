@@ -65,10 +65,8 @@ class GridError(Printed):
     """The error of the time grid at a solution, estimated by a finer grid and an integrator of another order.
 
     - `steps`: of the solution's grid, 0 where the model itself simulates; `factor`: how many times as many the finer
-      one has; `integrator`: the other one;
-    - `accuracy`: the tolerated error, relative to a limit or a spread, whichever is smaller;
-    - `objective`: its deviation; the tolerated error is `accuracy` times its magnitude;
-    - `functionals`: deviations by the texts of the functionals;
+      one has;
+    - `objective`: its deviation; `functionals`: those of functionals, by their texts;
     - `broken`: a sentence on the constraint that does not hold on the finer grid, or that differs so much there that
       this grid does not tell whether it holds; empty if there is none;
     - `pieces`: the number of polynomial pieces of the splines that the system follows, whose ends should be instants;
@@ -78,8 +76,6 @@ class GridError(Printed):
 
     steps: int
     factor: int
-    integrator: str
-    accuracy: float
     objective: Deviation
     functionals: Mapping[str, Deviation]
     broken: str = ""
