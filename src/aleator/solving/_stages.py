@@ -19,14 +19,7 @@ from aleator.certification._check import Check, begin_check
 from aleator.certification._grids import grid_error, misled_at
 from aleator.certification._judgement import Held, diagnose, solution_of
 from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
-from aleator.certification._worst_case import (
-    Oracle,
-    broken_at,
-    idle_scenarios,
-    scenarios_at_start,
-    worst_case_limits,
-    worst_case_of,
-)
+from aleator.certification._worst_case import Oracle, worst_case_limits
 from aleator.design import Problem, destabilised, is_over_time
 from aleator.nlp import (
     HELD,
@@ -104,7 +97,7 @@ class Stages(NamedTuple):
         problem, factor, oracle = transcribed.problem, check_factor(transcribed.problem, self.between), None
         if worst_case_limits(problem) and problem.placements.germs:
             oracle, outcome = Oracle(problem, factor if self.judges_between(problem) else 1), None
-            transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, point, known))
+            transcribed = oracle.begun(transcribed, transcribed.program.start if point is None else point, known)
         # Search.
         first = transcribed.program.start if point is None else point
         outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
@@ -298,19 +291,17 @@ class Stages(NamedTuple):
         rounds, worst, is_found = 1, np.zeros((0, len(oracle.low))), True
         while held.outcome.status is Status.SOLVED:
             transcribed, before = held.transcribed, held.outcome
-            new, worst = broken_at(transcribed, oracle, before, rounds)
+            new, worst = oracle.broken(transcribed, before, rounds)
             is_found = not len(new)
             if is_found or rounds == _MOST_SCENARIOS:
                 break
-            assert transcribed.scenarios is not None
-            idle = idle_scenarios(transcribed, before.point)
-            transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
+            transcribed, is_found = oracle.imposed(transcribed, before, new), True
             start = transcribed.point(transcribed.decisions(before.point))
             again = self.searched(transcribed, start, before.multipliers, goes_on=True)
-            held, is_found = self._held_between(Held(transcribed, again), factor), True
+            held = self._held_between(Held(transcribed, again), factor)
             held = held._replace(outcome=held.outcome.with_effort_of(before))
             rounds += 1
-        worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
+        worst_case = oracle.found(held.transcribed, held.outcome, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
 
     def _judged(self, held: Held, start: np.ndarray | None, factor: int) -> Held:
