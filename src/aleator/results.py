@@ -10,7 +10,6 @@ from aleator.analysis import Zone as Zone
 from aleator.examining import Examination as Examination
 from aleator.expansion import Unseen as Unseen
 from aleator.nlp import Searched as Searched
-from aleator.solution import AtMeans as AtMeans
 from aleator.solution import Between as Between
 from aleator.solution import Branching as Branching
 from aleator.solution import Certificate as Certificate
@@ -28,7 +27,6 @@ from aleator.solution import SecondOpinion as SecondOpinion
 from aleator.solution import Smoothing as Smoothing
 from aleator.solution import States as States
 from aleator.solution import Switching as Switching
-from aleator.solution import Tangent as Tangent
 from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation

@@ -1,34 +1,3 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
-from aleator.certification._between import Margins as Margins
-from aleator.certification._between import Shift as Shift
-from aleator.certification._between import Shifts as Shifts
-from aleator.certification._between import cost_of_margins as cost_of_margins
-from aleator.certification._between import excess_between as excess_between
-from aleator.certification._between import limits_beside as limits_beside
-from aleator.certification._between import margins_for as margins_for
-from aleator.certification._between import tightened as tightened
-from aleator.certification._check import Check as Check
-from aleator.certification._check import begin_check as begin_check
-from aleator.certification._grids import grid_error as grid_error
-from aleator.certification._grids import magnitudes_at as magnitudes_at
-from aleator.certification._grids import misled_at as misled_at
-from aleator.certification._grids import refinement as refinement
-from aleator.certification._grids import unconverged as unconverged
-from aleator.certification._limits import OWN_ERROR as OWN_ERROR
-from aleator.certification._solution import Held as Held
-from aleator.certification._solution import diagnose as diagnose
-from aleator.certification._solution import doubts as doubts
-from aleator.certification._solution import solution_of as solution_of
-from aleator.certification._solution import with_opinion as with_opinion
-from aleator.certification._systems import check_factor as check_factor
-from aleator.certification._systems import is_checked as is_checked
-from aleator.certification._systems import pieces as pieces
-from aleator.certification._systems import prepare_check as prepare_check
-from aleator.certification._worst_case import Oracle as Oracle
-from aleator.certification._worst_case import broken_at as broken_at
-from aleator.certification._worst_case import idle_scenarios as idle_scenarios
-from aleator.certification._worst_case import scenarios_at_start as scenarios_at_start
-from aleator.certification._worst_case import worst_case_limits as worst_case_limits
-from aleator.certification._worst_case import worst_case_of as worst_case_of
-from aleator.certification._worst_case import worth_imposing as worth_imposing
+from aleator.certification._judgement import diagnose as diagnose

@@ -20,8 +20,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check
-from aleator.certification._limits import Limit, limits_at
+from aleator.certification._check import Check, Limit
 from aleator.certification._systems import parts_in
 from aleator.design import is_over_time, path_of, statistics_in
 from aleator.dynamics import Simulation
@@ -276,11 +275,11 @@ def excess_between(check: Check, margins: Margins | None = None, *, at_peaks: bo
     transcribed, between, shifts = check.transcribed, Between(check.factor, 0.0, "", 0.0), list[Shift | None]()
     decisions = jax_array(transcribed.decisions(check.point))
     model = realise(at_means(check.problem.simulation), jax_array(np.zeros(0)), decisions)
-    each = limits_at(check), transcribed.scales, check.meaning.constraints, margins or [None] * len(transcribed.rows)
+    each = check.limits, transcribed.scales, check.meaning.constraints, margins or [None] * len(transcribed.rows)
     for limit, scale, rows, margin in zip(*each, strict=True):
         one, shift, path = limit.constraint, None, path_of(limit.constraint)
         if is_over_time(one):
-            beyond, last, size = excess_of(one, limit.fine), len(limit.fine) - 1, bound_size(one) or scale
+            beyond, last, size = limit.beyond, len(limit.fine) - 1, bound_size(one) or scale
             knots = _knots(model.of(path)) * last if path else np.zeros(0)
             sides = jumps(limit.fine, knots)
             if float(one.lower) != float(one.upper):
@@ -334,13 +333,6 @@ def limits_beside(margins: Margins) -> bool:
     return any(one is not None and one.instead for one in margins)
 
 
-def _narrows(transcribed: AbstractTranscribed, margins: Margins) -> bool:
-    """Whether bounds are moved inwards at rows that limit their own values, which costs more than it has to."""
-    each = zip(margins, transcribed.scales, strict=True)
-    moved = ((one, np.argwhere(one.by > HELD * size).tolist()) for one, size in each if one is not None)
-    return any(tuple(which) not in one.instead for one, every in moved for which in every)
-
-
 def tightened(transcribed: AbstractTranscribed, margins: Margins) -> NonlinearProgram:
     """The program with its limits over time imposed as margins say."""
     program, peaks = transcribed.program, list[Peak | End]()
@@ -357,8 +349,10 @@ def tightened(transcribed: AbstractTranscribed, margins: Margins) -> NonlinearPr
 
 
 def cost_of_margins(transcribed: AbstractTranscribed, margins: Margins, loosest: float, outcome: Outcome) -> float:
-    """How much worse an objective is by bounds that were tightened, relative to the larger one."""
-    tightest = outcome.evaluation.objective
-    if not (tightest > loosest and _narrows(transcribed, margins)):
-        return 0.0
-    return (tightest - loosest) / max(abs(loosest), abs(tightest))
+    """How much worse an objective is by bounds that were moved inwards at rows that limit their own values, which costs
+    more than it has to, relative to the larger one.
+    """
+    tightest, each = outcome.evaluation.objective, zip(margins, transcribed.scales, strict=True)
+    moved = ((one, np.argwhere(one.by > HELD * size).tolist()) for one, size in each if one is not None)
+    narrows = any(tuple(which) not in one.instead for one, every in moved for which in every)
+    return (tightest - loosest) / max(abs(loosest), abs(tightest)) if narrows and tightest > loosest else 0.0

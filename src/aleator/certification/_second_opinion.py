@@ -6,18 +6,16 @@ that the error of the grid is none of the expansion's.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from collections.abc import Mapping
+from dataclasses import replace
 from statistics import NormalDist
-from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import NEGLIGIBLE_SPREAD, Check, certain
-from aleator.certification._systems import DEEPEST_OF_SHAPES, OF_THE_SHAPE, fresh_systems, has_shape, systems_of
+from aleator.certification._check import NEGLIGIBLE_SPREAD, Check, Checked
+from aleator.certification._systems import OF_THE_SHAPE, FreshSystems, fresh_systems, has_shape, systems_of
 from aleator.certification._tails import KnownStatistics, tail_objections
 from aleator.design import Statistic, expanded_functionals
 from aleator.ensemble import inputs_at, listed
@@ -39,9 +37,10 @@ from aleator.transcription import AbstractTranscribed, excess_of
 
 Values = Float[np.ndarray, "systems ..."]
 Replicates = Float[np.ndarray, "... replicates"]
+Known = dict[Statistic, Replicates]
 
-# The two-sided probability of four standard deviations of a normal variable.
-_RARE = math.erfc(4 / math.sqrt(2))
+# The two-sided probabilities of four and of two standard deviations of a normal variable.
+_RARE, _SHOWN = math.erfc(4 / math.sqrt(2)), math.erfc(2 / math.sqrt(2))
 # Shifts up to the first part of the effect of one standard deviation are negligible; an excess over a bound by more
 # than the second part breaks it.
 _NONE, _BREAKS = 0.01, 0.05
@@ -49,14 +48,92 @@ _NONE, _BREAKS = 0.01, 0.05
 _ROUNDING = 1e-11
 # A system that is missed by more standard deviations than this is a rare event, of which a few systems say little: more
 # are drawn, and two standard errors show a shift.
-_OUTLIER, _SHOWN = 10.0, math.erfc(2 / math.sqrt(2))
-
+_OUTLIER = 10.0
 # How many systems are predicted, at most and at least, how many numbers they may have in all, and a draw of their own.
 _MANY, _FEWEST, _NUMBERS, _DRAW = 2**15, 2**11, 2**23, 10**6
 # An expansion has the statistic of these systems within so many standard errors and this part of its size.
 _ERRORS, _PART = 4.0, 0.01
 
 _FOLLOW_THE_SPREAD = (Quantile, ConditionalValueAtRisk, Supremum, Infimum)
+
+
+def second_opinion(check: Check) -> SecondOpinion | None:
+    """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
+
+    Where these disagree, or one system is missed by far, as in a rare event that none of the collocation points sees,
+    more systems are drawn, and a limit counts as broken if two standard errors show it.
+    """
+    count, problem = len(check.systems.points), check.problem
+    if not count or not check.functionals:
+        return None
+
+    def grown(total: int) -> Check:
+        draws = range(total // count)
+        return check.of(FreshSystems.joined(systems_of(problem, one) for one in draws)) if len(draws) > 1 else check
+
+    least, most = check.systems.least_and_most
+    # Few systems tell nothing of third and fourth powers.
+    opinion, has_outlier = _opinion(grown(most if has_shape(problem.expressions) else least), _RARE)
+    if not opinion.broken and (has_outlier or not opinion.agrees):
+        opinion, _ = _opinion(grown(most), _SHOWN)
+    if opinion.broken:
+        return opinion
+    objections = list(tail_objections(check, opinion.misses))
+    broken = next((sentence for sentence, hangs in objections if hangs), "")
+    sentences = tuple(sentence for sentence, _ in objections)
+    return replace(opinion, contradictions=(*opinion.contradictions, *sentences), broken=broken)
+
+
+def _opinion(check: Check, chance: float) -> tuple[SecondOpinion, bool]:
+    """The opinion by the fresh systems of a check, and whether it rests on outliers.
+
+    `chance`: with which probability an expression that has not changed may seem to have.
+    """
+    count = len(check.systems.points)
+    if without_value := _without_value(check):
+        return SecondOpinion(count, {}, (without_value,), without_value), False
+    # Limits on the worst case rely on no expansion.
+    fresh = {
+        one.text(): check.functionals[one].at(check.own(one))
+        for one in expanded_functionals(check.problem.expressions)
+        if not check.functionals[one].is_certain
+    }
+    misses = {text: _miss(one) for text, one in fresh.items()}
+    missed = [
+        f"the expansion predicts fresh simulations of {text} with an error of {miss:.2g} of their standard deviation"
+        for text, miss in misses.items()
+        if not miss <= 2 * check.problem.expansion.tolerance
+    ]
+    shifts, broken = _judged(fresh, check, chance) if fresh else ([], "")
+    has_outlier = any(
+        not (np.abs(one.fresh - one.predicted) <= _OUTLIER * np.max(one.std)).all() for one in fresh.values()
+    )
+    return SecondOpinion(count, misses, (*missed, *shifts), broken), has_outlier
+
+
+def _without_value(check: Check) -> str:
+    """A sentence on a functional without values in some fresh systems, with the numbers of one; empty if all have."""
+    for functional, own in check.functionals.items():
+        broken = ~np.isfinite(own.fresh.reshape(len(own.fresh), -1)).all(axis=1)
+        if broken.any():
+            germ, decisions = check.systems.points[broken][0], check.meaning.decisions
+            named = listed(inputs_at(check.transcribed.places, jax_array(germ), jax_array(decisions)))
+            share = 100 * float(own.weights[broken].sum() / own.weights.sum())
+            return f"{functional.text()} is not finite in about {share:.2g} % of all systems, such as that with {named}"
+    return ""
+
+
+def _miss(one: Checked) -> float:
+    """The rms error of predictions over the standard deviation, what they miss included, summed over entries."""
+    weights = _along(one.weights, one.fresh)
+    missed = float(np.sum(weights * (one.fresh - one.predicted) ** 2) / np.sum(weights))
+    total = float(np.sum(one.std**2)) + missed
+    return 0.0 if total == 0 else float(np.sqrt(missed / total))
+
+
+def _along(weights: Float[np.ndarray, " systems"], values: Values) -> Values:
+    """Weights with an axis for each of the values."""
+    return weights.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def means(weights: Values, values: Values) -> Replicates:
@@ -67,172 +144,54 @@ def means(weights: Values, values: Values) -> Replicates:
     return np.moveaxis(np.concatenate([0 * total[None], (total / weight)[None], rest]), 0, -1)
 
 
-@final
-@dataclass(frozen=True)
-class _Fresh:
-    """A functional at the fresh points, simulated and predicted, with its mean and variance by the expansion.
+def _corrected(
+    kind: AbstractStatistic, expanded: np.ndarray, one: Checked, transcribed: AbstractTranscribed
+) -> tuple[Replicates, Float[np.ndarray, "..."]]:
+    """A statistic in all replicates, and its change by one standard deviation of the functional.
 
-    - `weights`: those of the fresh points, with an axis for each of the values;
-    - `many`: what the expansion predicts of many more systems, which are not simulated, and their weights.
+    Quantiles and the like are shifted and scaled with mean and spread.
     """
-
-    values: Float[np.ndarray, "fresh ..."]
-    predicted: Float[np.ndarray, "fresh ..."]
-    weights: Float[np.ndarray, "fresh ..."]
-    mean: Float[np.ndarray, "..."]
-    variance: Float[np.ndarray, "..."]
-    many: Callable[[], tuple[Float[np.ndarray, "many ..."], Float[np.ndarray, "many ..."]]]
-
-    @property
-    def miss(self) -> float:
-        """The rms error of the predictions over the standard deviation, that which they miss included, summed over
-        entries.
-        """
-        squares = self.weights * (self.values - self.predicted) ** 2
-        missed = float(np.sum(squares) / np.sum(self.weights))
-        total = float(np.sum(self.variance)) + missed
-        return 0.0 if total == 0 else float(np.sqrt(missed / total))
-
-    @property
-    def has_outlier(self) -> bool:
-        """Whether some system is missed by many standard deviations."""
-        return not (np.abs(self.values - self.predicted) <= _OUTLIER * np.sqrt(np.max(self.variance))).all()
-
-    @cached_property
-    def off(self) -> dict[type[AbstractStatistic], Float[np.ndarray, "... replicates"]]:
-        """The errors of mean, variance and standard deviation by the fresh systems, in all replicates."""
-        shift = means(self.weights, self.values - self.predicted)
-        squares = means(self.weights, (self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
-        wider = np.sqrt(np.maximum(self.variance[..., None] + squares, 0.0)) - np.sqrt(self.variance)[..., None]
-        return {Mean: shift, Variance: squares, Std: wider}
-
-    def corrected(self, kind: AbstractStatistic, expanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A statistic in all replicates, and its change by one standard deviation of the functional.
-
-        Quantiles and the like are shifted and scaled with mean and spread.
-        """
-        std, base = np.sqrt(self.variance), expanded[..., None]
-        if type(kind) in self.off:
-            return base + self.off[type(kind)], self.variance if isinstance(kind, Variance) else std
-        if isinstance(kind, _FOLLOW_THE_SPREAD):
-            safe = np.where(std > 0, std, 1.0)[..., None]
-            return base + self.off[Mean] + (base - self.mean[..., None]) / safe * self.off[Std], std
-        if isinstance(kind, Probability):
-            seen, predicted = (
-                np.asarray(kind.holds(part, is_rounded=True), float) for part in (self.values, self.predicted)
-            )
-            spread = np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
-            return base + means(self.weights, seen - predicted), spread
-        if isinstance(kind, OF_THE_SHAPE):
-            known = (self.values, self.weights), (self.predicted, self.weights), self.many()
-            return corrected_shape(kind, base, self.mean, std, known)
-        return base + 0 * self.off[Mean], 0 * std
+    weights, std, base = _along(one.weights, one.fresh), one.std, expanded[..., None]
+    shift = means(weights, one.fresh - one.predicted)
+    squares = means(weights, (one.fresh - one.mean) ** 2 - (one.predicted - one.mean) ** 2) - shift**2
+    wider = np.sqrt(np.maximum(std[..., None] ** 2 + squares, 0.0)) - std[..., None]
+    match kind:
+        case Mean():
+            return base + shift, std
+        case Variance():
+            return base + squares, std**2
+        case Std():
+            return base + wider, std
+        case Probability():
+            seen = [np.asarray(kind.holds(part, is_rounded=True), float) for part in (one.fresh, one.predicted)]
+            return base + means(weights, seen[0] - seen[1]), np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
+    if isinstance(kind, OF_THE_SHAPE):
+        return _corrected_shape(kind, base, one, transcribed)
+    if isinstance(kind, _FOLLOW_THE_SPREAD):
+        safe = np.where(std > 0, std, 1.0)[..., None]
+        return base + shift + (base - one.mean[..., None]) / safe * wider, std
+    return base + 0 * shift, 0 * std
 
 
-def second_opinion(check: Check) -> SecondOpinion | None:
-    """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
-
-    Where these disagree, or one system is missed by far, as in a rare event that none of the collocation points sees,
-    more systems are drawn, and a limit counts as broken if two standard errors show it.
-    """
-    systems, problem = check.systems, check.problem
-    if not len(systems.points) or not check.functionals:
-        return None
-
-    def drawn(first: int, last: int) -> list[Check]:
-        return [check.again(systems_of(problem, draw) for draw in range(first, last))] if first < last else []
-
-    least, most = systems.draws
-    # Few systems tell nothing of third and fourth powers.
-    if has_shape(problem.expressions):
-        least = most
-    checks = [check, *drawn(1, least)]
-    opinion, has_outlier = _opinion(checks, _RARE)
-    if not opinion.broken and (has_outlier or not opinion.agrees):
-        checks += drawn(least, most)
-        opinion, _ = _opinion(checks, _SHOWN)
-    if opinion.broken:
-        return opinion
-    objections = list(tail_objections(check, opinion.misses))
-    broken = next((sentence for sentence, hangs in objections if hangs), "")
-    sentences = tuple(sentence for sentence, _ in objections)
-    return replace(opinion, contradictions=(*opinion.contradictions, *sentences), broken=broken)
-
-
-def _opinion(checks: list[Check], chance: float) -> tuple[SecondOpinion, bool]:
-    """The opinion by the systems of some checks, and whether it rests on outliers.
-
-    `chance`: with which probability an expression that has not changed may seem to have.
-    """
-    if without_value := _without_value(checks):
-        return SecondOpinion(len(checks[0].systems.points), {}, (without_value,), without_value), False
-    fresh, count = _fresh(checks), sum(len(one.systems.points) for one in checks)
-    missed = [
-        f"the expansion predicts fresh simulations of {text} with an error of {one.miss:.2g} of their standard "
-        "deviation"
-        for text, one in fresh.items()
-        if not one.miss <= 2 * checks[0].problem.expansion.tolerance
-    ]
-    shifts, broken = _judged(fresh, checks[0], chance) if fresh else ([], "")
-    misses = {text: one.miss for text, one in fresh.items()}
-    return SecondOpinion(count, misses, (*missed, *shifts), broken), any(one.has_outlier for one in fresh.values())
-
-
-def _without_value(checks: list[Check]) -> str:
-    """A sentence on a functional without values in some fresh systems, with the numbers of one; empty if all have."""
-    for check in checks:
-        for functional, own in check.functionals.items():
-            broken = ~np.isfinite(own.fresh.reshape(len(own.fresh), -1)).all(axis=1)
-            if broken.any():
-                germ, decisions = check.systems.points[broken][0], check.meaning.decisions
-                named = listed(inputs_at(check.transcribed.places, jax_array(germ), jax_array(decisions)))
-                share = float(own.weights[broken].sum() / own.weights.sum())
-                of_all = f"about {100 * share:.2g} % of all systems, such as that with {named}"
-                return f"{functional.text()} is not finite in {of_all}"
-    return ""
-
-
-def _fresh(checks: list[Check]) -> dict[str, _Fresh]:
-    """The expanded functionals that vary, by their texts; limits on the worst case rely on no expansion."""
-    first, constant, fresh = checks[0], certain(*checks), {}
-    all_weights = np.concatenate([check.systems.weights for check in checks])
-    expanded = expanded_functionals(first.problem.expressions)
-    for one, checked in first.functionals.items():
-        if one not in expanded or one in constant:
-            continue
-        own, every = first.own(one), [check.functionals[one] for check in checks]
-        values, predicted = (
-            np.concatenate([getattr(check, part) for check in every])[:, own] for part in ("fresh", "predicted")
-        )
-        weights = all_weights.reshape(-1, *[1] * (values.ndim - 1))
-        many = cache(partial(predicted_of_many, first.transcribed, checked.coefficients[(slice(None), own)]))
-        fresh[one.text()] = _Fresh(values, predicted, weights, checked.mean[own], checked.std[own] ** 2, many)
-    return fresh
-
-
-def _judged(fresh: Mapping[str, _Fresh], check: Check, chance: float) -> tuple[list[str], str]:
+def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[list[str], str]:
     """The expressions that change beyond chance, a sentence each, and what the correction breaks, if anything: a limit,
     by a twentieth of a spread, or the whole gain.
     """
-    problem, known, spreads = check.problem, {}, {}
-    replicates = next(one.off[Mean].shape[-1] for one in fresh.values())
+    problem, replicates = check.problem, len(check.systems.points) + 2
+    known, spreads = Known(), dict[Statistic, np.ndarray]()
     # Statistics that occur in several expressions are equal in all; joint ones are not corrected.
     for atom, base in check.statistics.items():
-        one = atom.functionals[0].text()
-        if len(atom.functionals) == 1 and one in fresh:
-            known[atom], spreads[atom] = fresh[one].corrected(atom.kind, base)
-        else:
-            known[atom], spreads[atom] = np.repeat(base[..., None], replicates, axis=-1), 0 * base
+        one = fresh.get(atom.functionals[0].text()) if len(atom.functionals) == 1 else None
+        unmoved = np.repeat(base[..., None], replicates, axis=-1), 0 * base
+        known[atom], spreads[atom] = unmoved if one is None else _corrected(atom.kind, base, one, check.transcribed)
     for i, (atom, values) in enumerate(known.items()):
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[atom]
         known[atom] = np.concatenate([values, moved], axis=-1)
-    scope = KnownStatistics(check, known)
-    sentences, broken = [], ""
+    scope, sentences, broken = KnownStatistics(check, known), [], ""
     for which, expression in enumerate(problem.expressions):
-        if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
-            continue
-        shift = _shift(np.asarray(expression.evaluate(scope)), replicates, chance)
+        is_statistic = any(isinstance(leaf, Statistic) for leaf in expression.leaves)
+        shift = _shift(np.asarray(expression.evaluate(scope)), replicates, chance) if is_statistic else None
         if shift is None:
             continue
         by, error, scale, where = shift
@@ -279,13 +238,10 @@ def _quantile(freedom: int, chance: float) -> float:
     answer to judge.
     """
     z = -NormalDist().inv_cdf(chance)
-    terms = (
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
-    )
-    return z + sum(term / freedom**power for power, term in enumerate(terms, 1))
+    first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
+    third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
+    fourth = (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160
+    return z + first / freedom + second / freedom**2 + third / freedom**3 + fourth / freedom**4
 
 
 # --- Third and fourth powers ------------------------------------------------------------------------------------------
@@ -295,49 +251,39 @@ def _quantile(freedom: int, chance: float) -> float:
 # nothing to them.
 
 
-def predicted_of_many(transcribed: AbstractTranscribed, terms: Float[np.ndarray, "terms ..."]) -> tuple[Values, Values]:
-    """What the expansion of a functional predicts of many systems, and their weights."""
-    count = int(np.clip(_NUMBERS // max(len(terms), terms[0].size), _FEWEST, _MANY))
-    systems = fresh_systems(transcribed.problem.placements.germs.values(), count, _DRAW, DEEPEST_OF_SHAPES)
-    predicted = np.tensordot(transcribed.discretised.basis.matrix(systems.points), terms, axes=1)
-    return predicted, systems.weights.reshape(-1, *[1] * (predicted.ndim - 1))
-
-
-def corrected_shape(
-    kind: AbstractStatistic,
-    base: Float[np.ndarray, "... 1"],
-    mean: Float[np.ndarray, "..."],
-    std: Float[np.ndarray, "..."],
-    known: tuple[tuple[Values, Values], ...],
+def _corrected_shape(
+    kind: AbstractStatistic, base: Float[np.ndarray, "... 1"], one: Checked, transcribed: AbstractTranscribed
 ) -> tuple[Replicates, Float[np.ndarray, "..."]]:
-    """A statistic in all replicates: uncorrected, by all fresh systems, by all but one; and a change of it that counts.
+    """A statistic in all replicates, and a change of it that counts.
 
-    - `base`: the expansion's own; `mean`, `std`: its moments of the functional;
-    - `known`: values and weights of the fresh systems, simulated and predicted, and of many that are predicted.
-
-    Where the expansion does not have the statistic of the many systems, it owes its own to yet rarer ones: then theirs
-    is corrected, in the same way, by the difference between what is simulated and what is predicted.
+    Where the expansion does not have the statistic of many systems, of which it predicts each, it owes its own to yet
+    rarer ones: then theirs is corrected, in the same way, by the difference between what is simulated and predicted.
     """
-    simulated, predicted, of_many = (_shape(kind, values, weights, mean, std) for values, weights in known)
+    terms = one.coefficients
+    count = int(np.clip(_NUMBERS // max(len(terms), terms[0].size), _FEWEST, _MANY))
+    systems = fresh_systems(transcribed.problem, count, _DRAW)
+    many = np.tensordot(transcribed.basis.matrix(systems.points), terms, axes=1)
+    known = (one.fresh, one.weights), (one.predicted, one.weights), (many, systems.weights)
+    simulated, predicted, of_many = (_shape(kind, *part, one.mean, one.std) for part in known)
     error = np.sqrt((of_many.shape[-1] - 2) * np.var(of_many[..., 1:], axis=-1, keepdims=True))
     magnitude = np.minimum(np.abs(base), np.abs(simulated[..., :1]))[..., 0]
-    size = std if isinstance(kind, CornishFisher) else np.maximum(magnitude, 1.0)
+    size = one.std if isinstance(kind, CornishFisher) else np.maximum(magnitude, 1.0)
     is_theirs = np.abs(of_many[..., :1] - base) <= _ERRORS * error + _PART * size[..., None]
     corrected = np.where(is_theirs, base, of_many[..., :1]) + simulated - predicted
-    varies = (std > NEGLIGIBLE_SPREAD * np.max(std))[..., None]
+    varies = (one.std > NEGLIGIBLE_SPREAD * np.max(one.std))[..., None]
     return np.concatenate([base, np.where(varies, corrected, base)], axis=-1), size
 
 
 def _shape(
     kind: AbstractStatistic,
     values: Values,
-    weights: Values,
+    weights: Float[np.ndarray, " systems"],
     mean: Float[np.ndarray, "..."],
     std: Float[np.ndarray, "..."],
 ) -> Replicates:
     """The statistic of weighted values: of all, and of all but one."""
     scale = np.where(std > 0, std, 1.0)
-    standard = (values - mean) / scale
+    standard, weights = (values - mean) / scale, _along(weights, values)
     first, second, third, fourth = (means(weights, standard**power)[..., 1:] for power in range(1, 5))
     variance = second - first**2
     spread = np.sqrt(np.where(variance > 0, variance, 1.0))

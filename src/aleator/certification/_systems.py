@@ -9,7 +9,7 @@ problem's: what is constant at these, such as a ripple of their period, shows th
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar, final
@@ -38,34 +38,32 @@ from aleator.ensemble import at_levels, fill, random_levels
 from aleator.statistics import CornishFisher, Kurtosis, Skewness
 from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised
-from aleator.uncertainty import AbstractGerm
 
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
-# Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
-_FRESH = 32
-# Fresh systems of an answer where these leave a doubt. Of one or two germ variables they cover the range densely, as
-# many as this at least; more, and all in one check, where nothing is simulated.
-_MOST, _DENSE, _MOST_DENSE, _AT_ONCE = 1024, 256, 2048, 1024
+# Fresh systems of one draw: enough for a standard error, and cheap beside one evaluation with derivatives; and of an
+# answer where these leave a doubt. Of one or two germ variables the latter cover the range densely.
+_DRAWN, _MOST, _DENSE, _MOST_DENSE = 32, 1024, 256, 2048
 # What two successive points of an even sequence differ by, in one and in two variables: the golden ratio and its next.
 _EVEN_STEPS = {1: (0.6180339887498949,), 2: (0.7548776662466927, 0.5698402909980532)}
 # The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median. Third
 # and fourth powers owe something to more than 5.
-_DEEPEST, DEEPEST_OF_SHAPES, _SHALLOWEST = 1e-5, 1e-8, 0.5
-
-_Part = TypeVar("_Part")
-
-OF_THE_SHAPE = (Skewness, Kurtosis, CornishFisher)
-"""Statistics of third and fourth powers."""
-
+_DEEPEST, _DEEPEST_OF_SHAPES, _SHALLOWEST = 1e-5, 1e-8, 0.5
 # Most steps of all systems together in checks that take longer to compile well than to run, about ten times in all.
 _FEW_STEPS = 500_000
 # Fractions of the duration that are the same.
 _SAME = 1e-9
 
+OF_THE_SHAPE = (Skewness, Kurtosis, CornishFisher)
+"""Statistics of third and fourth powers."""
+
+_Part = TypeVar("_Part")
+
 Values = dict[AbstractFunctional, Float[np.ndarray, "systems ..."]]
 """Functionals of some systems, and the histories of all outputs in them, as paths."""
+Nodes = tuple[Float[np.ndarray, "systems nodes ..."], ...]
+"""Paths that are integrated over time, at the instants and at the midpoints of steps."""
 
 
 class FreshSystems(NamedTuple):
@@ -74,15 +72,18 @@ class FreshSystems(NamedTuple):
     points: Float[np.ndarray, "fresh variables"]
     weights: Float[np.ndarray, " fresh"]
 
+    @classmethod
+    def joined(cls, parts: Iterable["FreshSystems"]) -> "FreshSystems":
+        """All systems of some parts."""
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
     @property
-    def draws(self) -> tuple[int, int]:
-        """How many draws of so many systems an answer deserves, and how many where these leave a doubt."""
-        count, variables = self.points.shape
-        least, most = (_DENSE, _MOST_DENSE) if variables in _EVEN_STEPS else (_FRESH, _MOST)
-        return max(least // count, 1), most // count
+    def least_and_most(self) -> tuple[int, int]:
+        """How many systems like these an answer deserves, and how many where these leave a doubt."""
+        return (_DENSE, _MOST_DENSE) if self.points.shape[1] in _EVEN_STEPS else (_DRAWN, _MOST)
 
 
-def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int, deepest: float = _DEEPEST) -> FreshSystems:
+def fresh_systems(problem: Problem, count: int, draw: int) -> FreshSystems:
     """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
 
     Of one or two germs the former half goes on evenly from draw to draw (Kronecker sequences by the golden ratio and
@@ -92,7 +93,8 @@ def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int, deepes
     random systems resembles. Depths within a tail are log-uniform, spread evenly over the systems of that tail. Weights
     undo the choice (multiple importance sampling with the balance heuristic of Veach and Guibas, 1995); none exceeds 2.
     """
-    generator, half = np.random.default_rng(2 + draw), count // 2
+    germs, generator, half = problem.placements.germs.values(), np.random.default_rng(2 + draw), count // 2
+    deepest = _DEEPEST_OF_SHAPES if has_shape(problem.expressions) else _DEEPEST
     levels = random_levels(generator, count, len(germs))
     if steps := _EVEN_STEPS.get(len(germs)):
         begun = np.random.default_rng(2).random(len(steps))
@@ -106,16 +108,14 @@ def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int, deepes
     parts = (place // (2 * len(germs)) + parts) / drawn[tails]
     depths = deepest * (_SHALLOWEST / deepest) ** parts
     levels[half + place, which] = np.where(upper, 1 - depths, depths)
-    lower_and_upper = _tail_density(levels, deepest), _tail_density(1 - levels, deepest)
-    in_tails = lower_and_upper[0] @ drawn[::2] + lower_and_upper[1] @ drawn[1::2]
-    density = (half + in_tails) / count
-    return FreshSystems(at_levels(germs, levels), 1 / density)
 
+    def density(depths: np.ndarray) -> np.ndarray:
+        """Of a level at a depth below the median, relative to a random one."""
+        inside = (depths >= deepest) & (depths <= _SHALLOWEST)
+        return np.where(inside, 1 / (np.maximum(depths, deepest) * np.log(_SHALLOWEST / deepest)), 0.0)
 
-def _tail_density(depths: np.ndarray, deepest: float) -> np.ndarray:
-    """The density of a level at a depth below the median, relative to a random one."""
-    inside = (depths >= deepest) & (depths <= _SHALLOWEST)
-    return np.where(inside, 1 / (np.maximum(depths, deepest) * np.log(_SHALLOWEST / deepest)), 0.0)
+    in_tails = density(levels) @ drawn[::2] + density(1 - levels) @ drawn[1::2]
+    return FreshSystems(at_levels(germs, levels), count / (half + in_tails))
 
 
 def has_shape(expressions: tuple[Expression, ...]) -> bool:
@@ -130,18 +130,15 @@ def simulates_inside(problem: Problem) -> bool:
 
 
 def systems_of(problem: Problem, draw: int) -> FreshSystems:
-    """Fresh systems of a problem, the same at every call, so that answers are repeatable."""
-    germs = problem.placements.germs.values()
-    if not germs:
+    """Fresh systems of a problem for one run of CHECK, the same at every call, so that answers are repeatable."""
+    count = len(problem.placements.germs)
+    if not count:
         return FreshSystems(np.zeros((0, 0)), np.zeros(0))
-    is_dense = len(germs) in _EVEN_STEPS and not (problem.system.has_time or simulates_inside(problem))
-    deepest = DEEPEST_OF_SHAPES if has_shape(problem.expressions) else _DEEPEST
-    if is_dense or not divides_steps(problem):
-        return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw, deepest)
+    if count in _EVEN_STEPS and not (problem.system.has_time or simulates_inside(problem)):
+        return fresh_systems(problem, _MOST, draw)  # where nothing is simulated
     # A step with many equations of single numbers takes hardly longer for all systems at once.
-    count = fresh_systems(germs, _FRESH, 0, deepest).draws[0]
-    draws = (fresh_systems(germs, _FRESH, draw * count + one, deepest) for one in range(count))
-    return FreshSystems(*map(np.concatenate, zip(*draws, strict=True)))
+    draws = _DENSE // _DRAWN if divides_steps(problem) and count in _EVEN_STEPS else 1
+    return FreshSystems.joined(fresh_systems(problem, _DRAWN, draw * draws + one) for one in range(draws))
 
 
 def is_checked(problem: Problem) -> bool:
@@ -196,13 +193,8 @@ def parts_in(tree: Any, kind: type[_Part]) -> list[_Part]:
 def _recorded(problem: Problem) -> tuple[tuple[AbstractFunctional, ...], tuple[AbstractFunctional, ...]]:
     """The functionals of a problem with the histories of their outputs, and the paths integrated over time."""
     functionals = functionals_of(problem.expressions)
-    histories = (history_of(name) for one in functionals for name in one.outputs)
+    histories = (Path((name,)) for one in functionals for name in one.outputs)
     return tuple(dict.fromkeys((*functionals, *histories))), integrated_paths(problem.expressions)
-
-
-def history_of(output: str) -> AbstractFunctional:
-    """An output at all instants."""
-    return Path((output,))
 
 
 def _check(
@@ -235,7 +227,8 @@ def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Ca
     if not is_checked(problem):
         return lambda: None
     finer = problem.finer(factor, problem.integrator.reference())
-    bound, systems = _bound(finer, problem.placements.vector("initial")), (_points(discretised, problem), None)
+    bound = _bound(finer, problem.placements.vector("initial"))
+    systems = _points(discretised, systems_of(problem, 0)), None
     bound.begin(systems)
     return lambda: bound.prepare(systems)
 
@@ -245,11 +238,9 @@ def _bound(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Bound:
     return CHECK.bound(numbers_to_arrays(problem.with_tables_looked_up()), jax_array(decisions), packed=False)
 
 
-def _points(
-    discretised: Discretised, problem: Problem, systems: FreshSystems | None = None
-) -> Float[np.ndarray, "systems variables"]:
-    """The collocation points, fresh systems, of the first draw by default, and the scenarios of the worst case."""
-    systems, scenarios = systems_of(problem, 0) if systems is None else systems, discretised.constants.scenarios
+def _points(discretised: Discretised, systems: FreshSystems) -> Float[np.ndarray, "systems variables"]:
+    """The collocation points, fresh systems, and the scenarios of the worst case."""
+    scenarios = discretised.constants.scenarios
     parts = discretised.collocation.points, systems.points, *([] if scenarios is None else [scenarios])
     return np.concatenate([np.asarray(one) for one in parts])
 
@@ -260,49 +251,44 @@ class Simulations:
     """Simulations of a problem at one point of its program.
 
     - `problem`: that on the finer grid, with its integrator;
-    - `in_parts`: whether each step of the program's own grid, or a phase that an event ends, is simulated from the
-      states of its mesh.
+    - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
+      each step of the program's own grid, or a phase that an event ends, is simulated from the states of the mesh.
     """
 
     transcribed: AbstractTranscribed
     point: Float[np.ndarray, " variables"]
     problem: Problem
-    in_parts: bool
+    departed: str
 
     @cached_property
     def _bound(self) -> Bound:
         return _bound(self.problem, self.transcribed.decisions(self.point))
 
-    def begin(
-        self, systems: FreshSystems
-    ) -> Callable[[], tuple[Values, tuple[Float[np.ndarray, "systems nodes ..."], ...]]]:
+    def begin(self, systems: FreshSystems) -> Callable[[], tuple[Values, Nodes]]:
         """Begin on another core with the collocation points, the fresh systems and the scenarios of the worst case; the
-        function returned waits for their functionals, one after the other, and for the paths that are integrated over
-        time, at the instants and at the midpoints of steps.
+        function returned waits for what is recorded of all of them, one after the other.
         """
-        points, courses = _points(self.transcribed.discretised, self.problem, systems), None
-        if self.in_parts:
+        points, courses = _points(self.transcribed.discretised, systems), None
+        if self.departed:
             count, predicted = len(self.transcribed.collocation.points), self._predicted(systems.points)
-            courses = {
-                phase: np.concatenate([rows[:count], predicted[phase], rows[count:]])
-                for phase, rows in self._courses.items()
-            }
+            each = self._courses.items()
+            courses = {one: np.concatenate([rows[:count], predicted[one], rows[count:]]) for one, rows in each}
         return self._begin(points, courses)
 
     def at(self, germ: Float[np.ndarray, "n variables"]) -> Values:
         """Functionals of any number of systems, as many in each run of the program as there were in the first."""
-        size, waiting = len(_points(self.transcribed.discretised, self.problem)), []
+        size, waiting = len(_points(self.transcribed.discretised, systems_of(self.problem, 0))), []
         for first in range(0, len(germ), size):
             points = fill(germ[first : first + size], size)
-            waiting.append(self._begin(points, self._predicted(points) if self.in_parts else None))
+            waiting.append(self._begin(points, self._predicted(points) if self.departed else None))
         runs = [wait()[0] for wait in waiting]
         return {one: np.concatenate([run[one] for run in runs])[: len(germ)] for one in runs[0]}
 
-    def _begin(self, points: Any, courses: Any) -> Callable[[], tuple[Values, tuple[np.ndarray, ...]]]:
+    def _begin(self, points: Any, courses: Any) -> Callable[[], tuple[Values, Nodes]]:
         self._bound.begin((points, courses))
         wait, (functionals, _) = beside(lambda: self._bound((points, courses))), _recorded(self.problem)
 
-        def values() -> tuple[Values, tuple[np.ndarray, ...]]:
+        def values() -> tuple[Values, Nodes]:
             each, nodes = jax.tree.map(np.asarray, wait())
             moved = (np.moveaxis(one, int(of.is_path), 0) for of, one in zip(functionals, each, strict=True))
             return dict(zip(functionals, moved, strict=True)), tuple(np.moveaxis(one, 1, 0) for one in nodes)
@@ -325,7 +311,6 @@ class Simulations:
 
     def _predicted(self, germ: Float[np.ndarray, "n variables"]) -> dict[str, Float[np.ndarray, "n parts states"]]:
         """The same of other systems, by the expansions of these states."""
-        basis, collocation, _ = self.transcribed.discretised
-        matrix, count = basis.matrix(germ), len(collocation.points)
-        fitted = {phase: np.asarray(collocation.coefficients(rows[:count])) for phase, rows in self._courses.items()}
-        return {phase: np.tensordot(matrix, terms, axes=1) for phase, terms in fitted.items()}
+        matrix, collocation = self.transcribed.basis.matrix(germ), self.transcribed.collocation
+        fitted = ((one, rows[: len(collocation.points)]) for one, rows in self._courses.items())
+        return {one: np.tensordot(matrix, collocation.coefficients(rows), axes=1) for one, rows in fitted}

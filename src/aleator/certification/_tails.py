@@ -8,8 +8,8 @@ simulated and that of what the expansion predicts of the same systems corrects t
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -39,64 +39,48 @@ _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
 _FIRST, _LAST = 128, 2048
 # How far around a quantile its density is taken, as a part of its distance from the mean.
 _AROUND = 0.1
+_TINY = np.finfo(float).tiny
+
+
+class _Seen(NamedTuple):
+    """Fresh systems in a tail: a functional as simulated and as predicted, and their weights."""
+
+    values: Float[np.ndarray, " n"]
+    predicted: Float[np.ndarray, " n"]
+    weights: Float[np.ndarray, " n"]
 
 
 class _Tail(NamedTuple):
-    """A statistic in an expression: which one, of which entry of a path, and what it says.
+    """A statistic of one functional, or of an entry of a path.
 
-    - `entry`: an instant of the finer grid, none without time;
-    - `value`, `mean`, `std`: the statistic, and the moments of the functional.
+    - `at`: an instant of the finer grid, none without time;
+    - `value`: the statistic; `chance`: the probability of its tail, the smaller one; `is_lower`: which tail that is;
+    - `reach`: how far it lies from the mean, a tenth of the spread at least.
     """
 
-    atom: Statistic
-    entry: tuple[int, ...]
+    kind: AbstractTail
+    at: tuple[int, ...]
     value: float
-    mean: float
-    std: float
+    chance: float
+    is_lower: bool
+    reach: float
 
-    @classmethod
-    def of(cls, atom: Statistic, entry: tuple[int, ...], check: Check) -> "_Tail":
-        """That of a statistic at an instant of the problem's own grid."""
-        at, functional = tuple(one * check.factor for one in entry), check.functionals[atom.functionals[0]]
-        return cls(
-            atom, at, float(check.statistics[atom][entry]), float(functional.mean[at]), float(functional.std[at])
-        )
-
-    def tolerated(self, predicted: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
-        """How wrong the statistic may be; systems as in `differences`."""
+    def tolerated(self, seen: _Seen) -> float:
+        """How wrong the statistic may be."""
         if isinstance(self.kind, Probability):
             return _OF_A_CHANCE * self.chance
-        away = _TOLERATED * self.reach
-        is_quantile = isinstance(self.kind, Quantile)
-        return min(away, _OF_A_CHANCE * self.chance / self.density(predicted, weights)) if is_quantile else away
+        of_chance = _OF_A_CHANCE * self.chance / self.density(seen) if isinstance(self.kind, Quantile) else np.inf
+        return min(_TOLERATED * self.reach, of_chance)
 
-    def density(self, predicted: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    def density(self, seen: _Seen) -> float:
         """The probability density around the statistic."""
         around = _AROUND * self.reach
-        share = np.average(np.abs(predicted - self.value) < around, weights=weights)
-        return max(float(share) / (2 * around), np.finfo(float).tiny)
+        share = np.average(np.abs(seen.predicted - self.value) < around, weights=seen.weights)
+        return max(float(share) / (2 * around), _TINY)
 
-    @property
-    def chance(self) -> float:
-        """The probability of its tail, the smaller one."""
-        return max(self.kind.tail(self.value)[0], np.finfo(float).tiny)
-
-    @property
-    def reach(self) -> float:
-        """How far the statistic lies from the mean, a tenth of the spread at least."""
-        return max(abs(self.value - self.mean), 0.1 * self.std)
-
-    @property
-    def kind(self) -> AbstractTail:
-        """Its statistic."""
-        assert isinstance(self.atom.kind, AbstractTail)
-        return self.atom.kind
-
-    def differences(
-        self, values: Float[np.ndarray, " n"], predicted: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, " n"]:
+    def differences(self, seen: _Seen) -> Float[np.ndarray, " n"]:
         """The contribution of each system to the error of the statistic: their weighted mean is the error."""
-        kind = self.kind
+        kind, (values, predicted, weights) = self.kind, seen
         if isinstance(kind, Probability):
             inside = (np.asarray(kind.holds(one, is_rounded=True), float) for one in (values, predicted))
             return next(inside) - next(inside)
@@ -107,7 +91,7 @@ class _Tail(NamedTuple):
             quantile = predicted[order[np.searchsorted(summed, level * summed[-1]).clip(max=len(order) - 1)]]
             short = [np.maximum(sign * (one - quantile), 0.0) for one in (values, predicted)]
             return sign * (short[0] - short[1]) / (level if kind.lower else 1 - level)
-        return (1.0 * (predicted < self.value) - 1.0 * (values < self.value)) / self.density(predicted, weights)
+        return (1.0 * (predicted < self.value) - 1.0 * (values < self.value)) / self.density(seen)
 
 
 class KnownStatistics(AbstractScopeOfInstants):
@@ -137,69 +121,75 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
 
     `varying`: the texts of the functionals that are not certain.
     """
-    problem, known = check.problem, {}
-    for which, expression in enumerate(problem.expressions):
-        gaps = -excess_of(problem.constraints[which - 1], check.at_instants(which - 1)) if which else None
+    known = {}
+    for which, expression in enumerate(check.problem.expressions):
+        limit = check.problem.constraints[which - 1] if which else None
+        gaps = None if limit is None else -excess_of(limit, check.at_instants(which - 1))
         for atom in statistics_in((expression,)):
-            one = atom.functionals[0]
-            if not isinstance(atom.kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
+            kind, one = atom.kind, atom.functionals[0]
+            if not isinstance(kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
                 continue
             entry = (int(np.argmin(gaps)),) if one.is_path and gaps is not None else ()
-            tail = _Tail.of(atom, entry, check)
-            if tail.std <= ROUNDING * abs(tail.mean):
+            functional, at = check.functionals[one], tuple(i * check.factor for i in entry)
+            value, mean, std = (
+                float(part) for part in (check.statistics[atom][entry], functional.mean[at], functional.std[at])
+            )
+            if std <= ROUNDING * abs(mean):
                 continue  # A path may be certain at some instants, as at its start.
-
-            def matters(
-                by: float, expression: Expression = expression, atom: Statistic = atom, gaps: Any = gaps
-            ) -> bool:
-                """Whether the answer may hang on an error of this size: a limit that is not nearly active does not."""
-                return gaps is None or not float(np.min(gaps)) > 2 * _effect(check, expression, atom, by)
-
+            chance, is_lower = kind.tail(value)
+            tail = _Tail(kind, at, value, max(chance, _TINY), is_lower, max(abs(value - mean), 0.1 * std))
+            matters = partial(_matters, check, expression, atom, gaps)
             if (atom, entry) not in known:
-                known[atom, entry] = _error(check, tail, matters)
+                known[atom, entry] = _error(check, atom, tail, matters)
             error, uncertainty, tolerated, count = known[atom, entry]
             by = abs(error) + 2 * uncertainty
             if abs(error) <= tolerated and (by <= 3 * tolerated or not matters(by)):
                 continue
-            seen = f"{tail.value + error:.4g} ± {2 * uncertainty:.2g}"
-            sentence = f"{atom.text()} is {tail.value:.4g} by the expansion, and {seen} by {count} systems in its tail"
-            if abs(error) <= 2 * uncertainty:
-                sentence = f"{sentence}, too few to tell"
-            if gaps is None:
-                yield sentence, not _effect(check, expression, atom, by) <= check.gained
-            else:
-                yield f"'{problem.constraints[which - 1].name}': {sentence}", matters(by)
+            seen = f"{value + error:.4g} ± {2 * uncertainty:.2g} by {count} systems in its tail"
+            unsure = ", too few to tell" if abs(error) <= 2 * uncertainty else ""
+            name = "" if limit is None else f"'{limit.name}': "
+            hangs = matters(by) if which else not _effect(check, expression, atom, by) <= check.gained
+            yield f"{name}{atom.text()} is {value:.4g} by the expansion, and {seen}{unsure}", hangs
 
 
-def _error(check: Check, tail: _Tail, matters: Callable[[float], bool]) -> tuple[float, float, float, int]:
+def _matters(check: Check, expression: Expression, atom: Statistic, gaps: np.ndarray | None, by: float) -> bool:
+    """Whether the answer may hang on an error of a statistic: a limit that is not nearly active does not.
+
+    `gaps`: those between the limit and its bound, None for the objective.
+    """
+    return gaps is None or not float(np.min(gaps)) > 2 * _effect(check, expression, atom, by)
+
+
+def _error(
+    check: Check, atom: Statistic, tail: _Tail, matters: Callable[[float], bool]
+) -> tuple[float, float, float, int]:
     """The error of a statistic by fresh systems in its tail, its standard error, what is tolerated, and their number.
 
     `matters`: whether the answer may hang on an error, below which no more systems are drawn.
     """
-    size, functional, of = len(check.systems.points), tail.atom.functionals[0], (slice(None), *tail.entry)
-    values, predicted, weights = (np.zeros(0) for _ in range(3))
-    coefficients, least = check.functionals[functional].coefficients[of], size
-    basis, lines = check.transcribed.discretised.basis, check.transcribed.constants.of(tail.kind)
-    proposal = tail_proposal(basis, lines, coefficients, tail.chance, lower=tail.kind.tail(tail.value)[1])
+    size, functional, of = len(check.systems.points), atom.functionals[0], (slice(None), *tail.at)
+    coefficients, basis = check.functionals[functional].coefficients[of], check.transcribed.basis
+    lines, least = check.transcribed.constants.of(tail.kind), size
+    proposal = tail_proposal(basis, lines, coefficients, tail.chance, lower=tail.is_lower)
+    seen = _Seen(*(np.zeros(0) for _ in _Seen._fields))
     while True:
-        draws = range(len(values) // size, -(-max(least, size) // size))
-        own = check.again(FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws)
-        values = np.concatenate([values, own.functionals[functional].fresh[of]])
-        predicted = np.concatenate([predicted, own.functionals[functional].predicted[of]])
-        weights = np.concatenate([weights, own.systems.weights])
-        each, share = tail.differences(values, predicted, weights), weights / weights.sum()
+        draws = range(len(seen.values) // size, -(-max(least, size) // size))
+        own = check.of(FreshSystems.joined(FreshSystems(*points_in_tail(proposal, basis, size, one)) for one in draws))
+        new = own.functionals[functional]
+        parts = new.fresh[of], new.predicted[of], own.systems.weights
+        seen = _Seen(*map(np.concatenate, zip(seen, parts, strict=True)))
+        each, share, tolerated = tail.differences(seen), seen.weights / seen.weights.sum(), tail.tolerated(seen)
         error = float(share @ each)
         uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))
-        tolerated = tail.tolerated(predicted, weights)
-        is_clear = len(values) >= _FIRST and abs(abs(error) - tolerated) > 2 * uncertainty
+        is_clear = len(each) >= _FIRST and abs(abs(error) - tolerated) > 2 * uncertainty
         is_harmless = not matters(abs(error) + 2 * uncertainty)
-        if is_clear or is_harmless or len(values) >= _LAST or not np.isfinite(error):
+        if is_clear or is_harmless or len(each) >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
             value, half = tail.kind.estimated(np.asarray(coefficients), lines)
             whole = error + float(value) - tail.value
-            return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, len(values)
-        least = max(4 * len(values), _FIRST)
+            return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, len(each)
+        least = max(4 * len(each), _FIRST)
 
 
 def _effect(check: Check, expression: Expression, moved: Statistic, by: float) -> float:

@@ -3,7 +3,7 @@ expansion.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -53,23 +53,19 @@ class Reached(NamedTuple):
       limit is not over time.
     """
 
-    beyond: Float[np.ndarray, "points limits"]
-    value: Float[np.ndarray, "points limits"]
-    time: Float[np.ndarray, "points limits"]
+    beyond: Float[Any, "points limits"]
+    value: Float[Any, "points limits"]
+    time: Float[Any, "points limits"]
 
 
-def _reached(
-    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
-) -> tuple[Array, Array, Array]:
-    """The parts of `Reached`."""
+def _reached(problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]) -> Reached:
     limits = worst_case_limits(problem)
     functionals = functionals_of(tuple(one.expression for one in limits))
     times, step = grid_at(problem, decisions).times, step_at(problem, decisions)
     numbers = named_numbers(problem.simulation, decisions)
 
-    def one(values: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-        scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
-        reached = []
+    def one(values: tuple[Array, ...]) -> Reached:
+        scope, reached = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step), []
         for limit in limits:
             value = jnp.asarray(limit.expression.evaluate(scope))
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
@@ -78,7 +74,7 @@ def _reached(
             own = instants_of(limit, problem.grid, lambda: times)
             time = own[worst * len(own) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
-        return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
+        return Reached(*map(jnp.stack, zip(*reached, strict=True)))
 
     return jax.vmap(one)(responses(problem, functionals, germ, decisions))
 
@@ -95,80 +91,103 @@ class Oracle:
 
     def __init__(self, problem: Problem, factor: int):
         self._traced = numbers_to_arrays(problem.on_grid(problem.grid.finer(factor)))
+        self.limits = worst_case_limits(problem)
         self.low, self.high = germ_box(problem).T
         self.simulated = 0
 
     def __call__(self, germ: Float[np.ndarray, "points variables"], decisions: np.ndarray) -> Reached:
         self.simulated += len(germ)
-        return Reached(*in_batches(REACHED, self._traced, germ, jax_array(decisions)))
+        return in_batches(REACHED, self._traced, germ, jax_array(decisions))
 
     def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
         """Map points of the unit box into the germ's box."""
         return self.low + points * (self.high - self.low)
 
-    def unit(self, germ: Float[np.ndarray, "points variables"]) -> Points:
-        """The inverse of `germ`."""
-        return (germ - self.low) / (self.high - self.low)
+    def begun(
+        self, transcribed: AbstractTranscribed, start: np.ndarray, known: WorstCase | None
+    ) -> AbstractTranscribed:
+        """The program with its initial scenarios: those of an earlier solution, or those that break each limit most at
+        the start.
+        """
+        if known is not None and known.scenarios.shape[1] == len(self.low):
+            return transcribed.at_scenarios(_held(transcribed).beginning(np.clip(known.scenarios, self.low, self.high)))
+        germ = self.germ(self._candidates(transcribed, start, 0))
+        # Realisations that have no value here may have one elsewhere.
+        beyond = np.nan_to_num(self(germ, transcribed.decisions(start)).beyond, nan=-np.inf)
+        worst = np.unique(germ[np.argmax(beyond, axis=0)], axis=0)
+        return transcribed.at_scenarios(_held(transcribed).beginning(worst))
+
+    def _candidates(self, transcribed: AbstractTranscribed, point: np.ndarray, seed: int) -> Points:
+        """Initial points of the search: present scenarios, collocation points, the middle, ends of each variable,
+        corners, some points inside, and those of many more that the expansions call the worst.
+        """
+        germ = np.concatenate([_held(transcribed).held, np.asarray(transcribed.collocation.points)])
+        # A tolerance ends where its normal distribution goes on.
+        present = np.clip((germ - self.low) / (self.high - self.low), 0.0, 1.0)
+        variables, generator = present.shape[1], np.random.default_rng(seed)
+        middle = np.full((1, variables), 0.5)
+        ends = middle + np.kron(np.eye(variables), [[-0.5], [0.5]])
+        corners = corners_of(variables, _MOST_CORNERS, generator)
+        inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
+        many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
+        matrix, ranked = transcribed.basis.matrix(self.germ(many)), []
+        functionals, samples = functionals_of(transcribed.problem.expressions), transcribed.at(point).samples
+        for limit in self.limits:
+            (functional,) = functionals_of((limit.expression,))
+            values = samples[functionals.index(functional)]
+            if limit.is_path:
+                values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
+            side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
+            terms = side * np.asarray(transcribed.collocation.coefficients(jax_array(values)))
+            largest = np.tensordot(matrix, terms, axes=1).reshape(len(many), -1).max(axis=1)
+            ranked.append(np.argsort(-np.nan_to_num(largest, nan=-np.inf))[:_RANKED])
+        worst = np.unique(np.concatenate(ranked))
+        return np.concatenate([present, middle, ends, corners, inside[:_SPREAD], many[worst]])
+
+    def broken(
+        self, transcribed: AbstractTranscribed, outcome: Outcome, seed: int
+    ) -> tuple[Float[np.ndarray, "new variables"], Float[np.ndarray, "limits variables"]]:
+        """Realisations that break a limit by more than the present ones, and the worst of each limit."""
+        decisions, points = transcribed.decisions(outcome.point), self._candidates(transcribed, outcome.point, seed)
+        # The magnitudes of the limits, to which their violations are relative.
+        pairs = zip(transcribed.problem.constraints, transcribed.rows, strict=True)
+        sizes = np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
+        imposed = np.ones((len(_held(transcribed).held), len(sizes)), dtype=bool)
+        new, worst = worth_imposing(lambda one: self(self.germ(one), decisions).beyond, points, imposed, sizes, seed)
+        return self.germ(np.unique(np.concatenate(new), axis=0)), self.germ(worst)
+
+    def imposed(
+        self, transcribed: AbstractTranscribed, outcome: Outcome, new: Float[np.ndarray, "new variables"]
+    ) -> AbstractTranscribed:
+        """The program with new scenarios, in the place of those that are far from all limits."""
+        scenarios = _held(transcribed)
+        close = np.zeros(len(scenarios.used), dtype=bool)
+        parts = transcribed.problem.constraints, transcribed.at(outcome.point).constraints, transcribed.scales
+        for one, values, scale in zip(*parts, strict=True):
+            if is_worst_case(one):
+                close |= excess_of(one, values).reshape(-1, len(close)).max(axis=0) > -_IDLE * scale
+        return transcribed.at_scenarios(scenarios.joined(new, ~close))
+
+    def found(
+        self, transcribed: AbstractTranscribed, outcome: Outcome, worst: np.ndarray, rounds: int, *, is_found: bool
+    ) -> WorstCase:
+        """The worst realisations to report: those of the last search, or scenarios that are worse."""
+        scenarios, decisions = _held(transcribed), transcribed.decisions(outcome.point)
+        germ = np.concatenate([worst, scenarios.held])
+        reached, realisations = self(germ, decisions), []
+        for i, limit in enumerate(self.limits):
+            k = int(np.argmax(np.nan_to_num(reached.beyond[:, i], nan=-np.inf)))
+            value, beyond, time = (float(of[k, i]) for of in (reached.value, reached.beyond, reached.time))
+            numbers = inputs_at(transcribed.places, germ[k], jax_array(decisions))
+            when = None if np.isnan(time) else time
+            realisations.append(WorstRealisation(limit.name, str(limit), value, beyond, when, numbers))
+        return WorstCase(tuple(realisations), scenarios.found, rounds, self.simulated, is_found)
 
 
-def scenarios_at_start(
-    transcribed: AbstractTranscribed, oracle: Oracle, start: np.ndarray | None, known: WorstCase | None
-) -> Scenarios:
-    """The initial scenarios: those of an earlier solution, or those that break each limit most at the start."""
+def _held(transcribed: AbstractTranscribed) -> Scenarios:
+    """The scenarios of a program that has limits on the worst case."""
     assert transcribed.scenarios is not None
-    box = np.stack([oracle.low, oracle.high], axis=1)
-    if known is not None and known.scenarios.shape[1] == len(box):
-        return transcribed.scenarios.beginning(np.clip(known.scenarios, *box.T))
-    point = transcribed.program.start if start is None else start
-    germ = oracle.germ(_candidates(transcribed, oracle, point, 0))
-    # Realisations that have no value here may have one elsewhere.
-    beyond = np.nan_to_num(oracle(germ, transcribed.decisions(point)).beyond, nan=-np.inf)
-    return transcribed.scenarios.beginning(np.unique(germ[np.argmax(beyond, axis=0)], axis=0))
-
-
-def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndarray, seed: int) -> Points:
-    """Initial points of the search: present scenarios, collocation points, the middle, ends of each variable, corners,
-    some points inside, and those of many more that the expansions call the worst.
-    """
-    assert transcribed.scenarios is not None
-    present = oracle.unit(np.concatenate([transcribed.scenarios.held, np.asarray(transcribed.collocation.points)]))
-    present = np.clip(present, 0.0, 1.0)  # a tolerance ends where its normal distribution goes on
-    variables, generator = present.shape[1], np.random.default_rng(seed)
-    middle = np.full((1, variables), 0.5)
-    ends = middle + np.kron(np.eye(variables), [[-0.5], [0.5]])
-    corners = corners_of(variables, _MOST_CORNERS, generator)
-    inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
-    many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
-    matrix, ranked = transcribed.basis.matrix(oracle.germ(many)), []
-    functionals, samples = functionals_of(transcribed.problem.expressions), transcribed.at(point).samples
-    for limit in worst_case_limits(transcribed.problem):
-        (functional,) = functionals_of((limit.expression,))
-        values = samples[functionals.index(functional)]
-        if limit.is_path:
-            values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
-        side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
-        terms = side * np.asarray(transcribed.collocation.coefficients(jax_array(values)))
-        largest = np.tensordot(matrix, terms, axes=1).reshape(len(many), -1).max(axis=1)
-        ranked.append(np.argsort(-np.nan_to_num(largest, nan=-np.inf))[:_RANKED])
-    worst = np.unique(np.concatenate(ranked))
-    return np.concatenate([present, middle, ends, corners, inside[:_SPREAD], many[worst]])
-
-
-def broken_at(
-    transcribed: AbstractTranscribed, oracle: Oracle, outcome: Outcome, seed: int
-) -> tuple[Float[np.ndarray, "new variables"], Float[np.ndarray, "limits variables"]]:
-    """Realisations that break a limit on the worst case by more than the present ones, and the worst of each limit."""
-    assert transcribed.scenarios is not None
-    decisions = transcribed.decisions(outcome.point)
-    points = _candidates(transcribed, oracle, outcome.point, seed)
-    # The magnitudes of the limits, to which their violations are relative.
-    pairs = zip(transcribed.problem.constraints, transcribed.rows, strict=True)
-    sizes = np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
-    imposed = np.ones((len(transcribed.scenarios.held), len(sizes)), dtype=bool)
-    new, worst = worth_imposing(
-        lambda places: oracle(oracle.germ(places), decisions).beyond, points, imposed, sizes, seed
-    )
-    return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
+    return transcribed.scenarios
 
 
 def worth_imposing(
@@ -193,44 +212,3 @@ def worth_imposing(
         new.append(some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW])
         worst.append(some[0])
     return new, np.stack(worst)
-
-
-def worst_case_of(
-    transcribed: AbstractTranscribed,
-    outcome: Outcome,
-    oracle: Oracle,
-    worst: np.ndarray,
-    rounds: int,
-    is_found: bool,
-) -> WorstCase:
-    """The worst realisations to report: those of the last search, or scenarios that are worse."""
-    assert transcribed.scenarios is not None
-    germ = np.concatenate([worst, transcribed.scenarios.held])
-    decisions = transcribed.decisions(outcome.point)
-    reached = oracle(germ, decisions)
-    realisations = []
-    for i, limit in enumerate(worst_case_limits(transcribed.problem)):
-        k = int(np.argmax(np.nan_to_num(reached.beyond[:, i], nan=-np.inf)))
-        time = float(reached.time[k, i])
-        realisations.append(
-            WorstRealisation(
-                name=limit.name,
-                text=str(limit),
-                value=float(reached.value[k, i]),
-                beyond=float(reached.beyond[k, i]),
-                time=None if np.isnan(time) else time,
-                numbers=inputs_at(transcribed.places, germ[k], jax_array(decisions)),
-            )
-        )
-    return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.simulated, is_found)
-
-
-def idle_scenarios(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[np.ndarray, " slots"]:
-    """The slots whose realisations are far from all limits on the worst case."""
-    assert transcribed.scenarios is not None
-    close = np.zeros(len(transcribed.scenarios.used), dtype=bool)
-    parts = transcribed.problem.constraints, transcribed.at(point).constraints, transcribed.scales
-    for one, values, scale in zip(*parts, strict=True):
-        if is_worst_case(one):
-            close |= excess_of(one, values).reshape(-1, len(close)).max(axis=0) > -_IDLE * scale
-    return ~close

@@ -5,7 +5,6 @@ from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
 from aleator.solution._certificate import Moments as Moments
 from aleator.solution._certificate import Objection as Objection
 from aleator.solution._certificate import SecondOpinion as SecondOpinion
-from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase
 from aleator.solution._certificate import WorstRealisation as WorstRealisation
 from aleator.solution._certificate import ends as ends
@@ -22,7 +21,6 @@ from aleator.solution._grid import States as States
 from aleator.solution._grid import Switching as Switching
 from aleator.solution._grid import system_text as system_text
 from aleator.solution._motions import Motions as Motions
-from aleator.solution._solution import AtMeans as AtMeans
 from aleator.solution._solution import Branching as Branching
 from aleator.solution._solution import ConstraintResult as ConstraintResult
 from aleator.solution._solution import Effort as Effort

@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import starmap
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.leaves import Printed
-from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
+from aleator.expansion import UNRESOLVED, Unseen
 from aleator.solution._grid import Between, GridError, Smoothing, lines, system_text
 
 
@@ -29,17 +28,6 @@ def ends(values: Float[np.ndarray, "*shape"]) -> str:
     """A number, or from where to where many reach."""
     least, most = float(np.min(values)), float(np.max(values))
     return f"{least:.6g}" if np.ndim(values) == 0 else f"from {least:.6g} to {most:.6g}"
-
-
-class Tangent(NamedTuple):
-    """The derivative of a functional by a parameter of a distribution, and the leave-one-out error of its expansion."""
-
-    functional: str
-    parameter: str
-    error: float
-
-    def __str__(self) -> str:
-        return f"leave-one-out error {self.error:.2e} ({self.functional} by {self.parameter})"
 
 
 @final
@@ -78,16 +66,6 @@ class ExpansionQuality(Printed):
         return max(self.leave_one_out.values(), default=0.0)
 
     @property
-    def every_tangent(self) -> "list[Tangent]":
-        """The derivatives of all functionals by all parameters of distributions that are decisions."""
-        return [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
-
-    @property
-    def worst_tangent(self) -> "Tangent | None":
-        """The worst resolved derivative by a distribution's parameter; None if there is none."""
-        return max(self.every_tangent, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
-
-    @property
     def unresolved(self) -> tuple[str, ...]:
         """The functionals whose error is too large for their statistics to be trusted, at least at the end."""
         errors = self.leave_one_out.items()
@@ -99,11 +77,6 @@ class ExpansionQuality(Printed):
         return not any(np.isposinf(error) for error in self.leave_one_out.values())
 
     @property
-    def is_conditioned(self) -> bool:
-        """Whether the collocation matrix is conditioned well enough for accurate coefficients."""
-        return self.condition_number <= ILL_CONDITIONED
-
-    @property
     def remedy(self) -> str:
         """What resolves it better."""
         return "Raise the order" if self.elements == 1 else "Raise the order, or the budget of elements"
@@ -113,15 +86,13 @@ class ExpansionQuality(Printed):
         return f" from t = {self.unresolved_from[text]:.4g} s on" if text in self.unresolved_from else ""
 
     def tangent_sentence(self) -> str:
-        """How well the derivatives by distribution parameters are resolved, with the remedy if they are not."""
-        worst = self.worst_tangent
-        if worst is None:
+        """The derivative by a parameter of a distribution that is resolved worst; empty without such parameters."""
+        every = {f"{text} by {name}": error for text, of in self.tangents.items() for name, error in of.items()}
+        if not every:
             return ""
-        unresolved = (
-            ": not resolved, so shadow prices and stationarity are those of the expansion; raise the order for the "
-            "model's"
-        )
-        return f"by distribution parameters: worst {worst}{'' if worst.error <= self.tolerance else unresolved}"
+        worst = max(every, key=lambda one: np.inf if np.isnan(every[one]) else every[one])
+        remedy = "" if every[worst] <= self.tolerance else ": not resolved, nor are shadow prices; raise the order"
+        return f"by distribution parameters: worst leave-one-out error {every[worst]:.2e} ({worst}){remedy}"
 
     def __str__(self) -> str:
         if self.points == 1:
@@ -178,10 +149,7 @@ class WorstCase(Printed):
 
     def rows(self) -> list[str]:
         """A line for each limit, then how they were found."""
-        return [
-            *map(str, self.realisations),
-            f"the worst of {self.searched} {self.of}, in {self.rounds} rounds",
-        ]
+        return [*map(str, self.realisations), f"the worst of {self.searched} {self.of}, in {self.rounds} rounds"]
 
     def __str__(self) -> str:
         return "\n".join(self.rows())
@@ -243,16 +211,12 @@ class Certificate(Printed):
     - `grid_error`: the difference to a finer grid with an integrator of another order; None for models without time;
     - `worst_case`: the worst realisations of limits on the worst case; None if there are no such limits;
     - `opinion`: fresh simulations at the answer, compared with the expansions; None where there is nothing to ask;
-    - `untrusted`: a sentence on the statistic for which an expansion is too coarse; empty if there is none;
-    - `misled`: if nothing was solved, a sentence on large errors of the grid where the search began or ended;
-    - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
-    - `reaches`: how large each functional that was checked could be in a typical system, as the scale of its rounding;
-    - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
-    - `departed`: how far a simulation departs from an unstable plan, whose steps were then checked from its own states;
     - `smoothing`: the same design at half the widths of `al.smooth`; None without any;
-    - `indistinct`: a sentence on a broken limit of zero that is as small as rounding, but follows the decisions;
-    - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty;
-    - `extrapolated`: a sentence on data that are compared with a motion that has ended before; else empty.
+    - `objections`: what else the model says against the answer, such as values that do not follow their derivatives;
+    - `misled`: a sentence on large errors of the grid where the search began or ended, which may have misled it;
+    - `departed`: how far a simulation departs from an unstable plan, whose steps were then checked from its own states;
+    - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
+    - `reaches`: how large each functional that was checked could be in a typical system, as the scale of its rounding.
     """
 
     violation: float
@@ -263,58 +227,38 @@ class Certificate(Printed):
     grid_error: GridError | None = None
     worst_case: WorstCase | None = None
     opinion: SecondOpinion | None = None
-    untrusted: str = ""
-    misled: str = ""
-    lost: str = ""
-    reaches: Mapping[str, float] = field(default_factory=dict)
-    correlations: str = ""
-    departed: str = ""
     smoothing: Smoothing | None = None
-    indistinct: str = ""
-    crossed: str = ""
-    extrapolated: str = ""
+    objections: tuple[Objection, ...] = ()
+    misled: str = ""
+    departed: str = ""
+    correlations: str = ""
+    reaches: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def objection(self) -> Objection | None:
         """Why the optimum of the program is no answer to the model; None if it is one."""
-        return next(starmap(Objection, self._objections()), None)
+        return next(self._objections(), None)
 
-    def _objections(self) -> Iterator[tuple[str, str]]:
+    def _objections(self) -> Iterator[Objection]:
         between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
-        if self.crossed:
-            yield "a realisation does not end at the first event", f"solved, but {self.crossed}"
-        if self.extrapolated:
-            yield "data lie behind the end of the motion", f"solved, but {self.extrapolated}"
-        if self.indistinct:
-            yield "a broken limit of zero is as small as rounding", f"solved, but {self.indistinct}"
+        yield from self.objections
         if between is not None and not between.holds:
-            remedy = "or between=1 to check the instants alone"
-            yield "limits break between the instants", f"solved at the instants of the grid, but {between}, {remedy}"
+            sentence = f"solved at the instants of the grid, but {between}, or between=1 to check the instants alone"
+            yield Objection("limits break between the instants", sentence)
         if error is not None and not error.is_usable:
-            yield "the grid is too coarse", f"solved{f' on {error.steps} steps' if error.steps else ''}, but {error}"
-        if self.lost:
-            yield "values do not follow their derivatives", f"solved by its derivatives, but {self.lost}"
+            steps = f" on {error.steps} steps" if error.steps else ""
+            yield Objection("the grid is too coarse", f"solved{steps}, but {error}")
         if opinion is not None and opinion.broken:
-            yield (
-                "fresh simulations contradict the expansion",
-                f"solved for the expansion, but {opinion.samples} fresh simulations do not confirm it: "
-                f"{opinion.broken}. {opinion.remedy}",
-            )
-        if self.untrusted:
-            yield (
-                "the expansion is too coarse for the statistics asked of it",
-                f"solved for the expansion of order {self.expansion.order}, but {self.untrusted}. "
-                f"{self.expansion.remedy}; or say that you accept it, al.Expansion(order, tolerance=...), and trust "
-                "al.validate alone",
-            )
+            sentence = f"{opinion.samples} fresh simulations do not confirm it: {opinion.broken}. {opinion.remedy}"
+            yield Objection("fresh simulations contradict the expansion", f"solved for the expansion, but {sentence}")
         if worst_case is not None and not worst_case.is_found:
             worst = max(worst_case.realisations, key=lambda one: one.beyond)
-            yield (
-                "the worst case breaks a limit",
-                "solved for the realisations found so far, but others break a limit on the worst case. After "
-                f"{worst_case.rounds} rounds {worst}, {worst.beyond:.3g} beyond its bound: each new design breaks it "
-                "at another realisation. Narrow the distributions, or give the optimiser fewer decisions.",
+            sentence = (
+                f"solved for the realisations found so far, but others break a limit. After {worst_case.rounds} rounds "
+                f"{worst}, {worst.beyond:.3g} beyond its bound: each new design breaks it at another realisation. "
+                "Narrow the distributions, or give the optimiser fewer decisions"
             )
+            yield Objection("the worst case breaks a limit", sentence)
 
     @property
     def holds(self) -> bool:
@@ -327,24 +271,22 @@ class Certificate(Printed):
             f"violation {self.violation:.1e}, stationarity {self.stationarity:.1e}, "
             f"complementarity {self.complementarity:.1e} (scaled)"
         )
-        expansion, worst_case = self.expansion, self.worst_case
+        departed = (
+            f"unstable: simulated from its first instant, {self.departed}; so each step of the grid, or a phase that "
+            "an event ends, was checked from the plan's own state, and the plan needs feedback"
+        )
         rows = [
             ("between", self.between),
             ("grid", self.grid_error),
             ("smoothing", self.smoothing),
-            (
-                "open loop",
-                self.departed
-                and f"unstable: simulated from its first instant, {self.departed}; so each step of the grid, "
-                "or a phase that an event ends, was checked from the plan's own state, and the plan needs feedback",
-            ),
-            *(("worst case", row) for row in (worst_case.rows() if worst_case else ())),
+            ("open loop", self.departed and departed),
+            *(("worst case", row) for row in (self.worst_case.rows() if self.worst_case else ())),
             ("certificate", residuals),
-            ("expansion", expansion),
-            ("derivatives", expansion.tangent_sentence()),
+            ("expansion", self.expansion),
+            ("derivatives", self.expansion.tangent_sentence()),
             ("fresh", self.opinion),
             ("correlated", self.correlations),
-            ("not seen", expansion.unseen and expansion.unseen.sentence()),
+            ("not seen", self.expansion.unseen and self.expansion.unseen.sentence()),
         ]
         return [(label, str(text)) for label, text in rows if text]
 

@@ -54,11 +54,6 @@ class Deviation(Printed):
         """The error over the tolerated error; infinite if the error is NaN."""
         return np.inf if np.isnan(self.error) else self.error / self.tolerated
 
-    @property
-    def finer(self) -> float:
-        """The factor of steps that meets the tolerance, by the order of convergence."""
-        return self.ratio ** (1 / self.order)
-
     def __str__(self) -> str:
         when = "" if np.isnan(self.time) else f" at t = {self.time:.4g} s"
         return f"off by {self.error:.2g}{when}, where {self.tolerated:.2g} is tolerated"
@@ -70,15 +65,10 @@ class GridError(Printed):
     """The error of the time grid at a solution, estimated by a finer grid and an integrator of another order.
 
     - `steps`: of the solution's grid, 0 where the model itself simulates; `factor`: how many times as many the finer
-      one has; `integrator`: the other one;
-    - `accuracy`: the tolerated error, relative to a limit or a spread, whichever is smaller;
-    - `objective`: its deviation; the tolerated error is `accuracy` times its magnitude;
-    - `functionals`: deviations by the texts of the functionals;
-    - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all hold;
-    - `unresolved`: a sentence on the constraint that differs so much on the finer grid, or at other instants, that this
-      grid does not tell whether it holds, though it does there; empty if there is none;
-    - `at_start`: a sentence on large errors of the grid at the initial design, which may have misled the search; empty
-      if there are none, or if that was not checked;
+      one has;
+    - `objective`: its deviation; `functionals`: those of functionals, by their texts;
+    - `broken`: a sentence on the constraint that does not hold on the finer grid, or that differs so much there that
+      this grid does not tell whether it holds; empty if there is none;
     - `pieces`: the number of polynomial pieces of the splines that the system follows, whose ends should be instants;
     - `by_tolerances`: whether the integrator has tolerances of its own, besides the steps of the grid;
     - `inside`: whether the model itself simulates on a grid of its own, which then is finer too.
@@ -86,21 +76,12 @@ class GridError(Printed):
 
     steps: int
     factor: int
-    integrator: str
-    accuracy: float
     objective: Deviation
     functionals: Mapping[str, Deviation]
     broken: str = ""
-    unresolved: str = ""
-    at_start: str = ""
     pieces: int = 1
     by_tolerances: bool = False
     inside: bool = False
-
-    @property
-    def worst(self) -> str:
-        """The text of the functional with the largest deviation over its tolerance; empty if there is none."""
-        return max(self.functionals, key=lambda text: self.functionals[text].ratio, default="")
 
     @property
     def ratio(self) -> float:
@@ -109,57 +90,42 @@ class GridError(Printed):
 
     @property
     def is_met(self) -> bool:
-        """Whether all deviations are tolerated."""
-        return self.ratio <= 1 and not self.broken and not self.unresolved and not self.at_start
+        """Whether all deviations are tolerated, and all limits hold."""
+        return self.ratio <= 1 and not self.broken
 
     @property
     def is_usable(self) -> bool:
-        """Whether the solution holds on the finer grid: all limits, the objective to tolerance, and no NaN; and whether
-        this grid resolves the limits.
-        """
+        """Whether the solution holds on the finer grid: all limits, the objective to tolerance, and no NaN."""
         finite = all(np.isfinite(one.error) for one in self.functionals.values())
-        return self.objective.ratio <= 1 and not self.broken and not self.unresolved and finite
-
-    @property
-    def steps_needed(self) -> int:
-        """The number that meets the tolerance by the orders of convergence, at most eight times the present one."""
-        return self.steps if self.is_met else self.next_steps
-
-    @property
-    def next_steps(self) -> int:
-        """The number of steps that `solve(refine=True)` takes next: at least twice the present one, and a multiple of
-        the pieces of splines, so that steps end where these do and no order is lost.
-        """
-        return self.pieces * int(np.ceil(self._times * self.steps / self.pieces))
-
-    @property
-    def _finer(self) -> float:
-        return _AHEAD * max(one.finer for one in (self.objective, *self.functionals.values()))
+        return self.objective.ratio <= 1 and not self.broken and finite
 
     @property
     def _times(self) -> float:
-        return min(max(_LEAST, self._finer), _MOST)
+        """The factor of steps that meets the tolerance by the orders of convergence."""
+        return _AHEAD * max(one.ratio ** (1 / one.order) for one in (self.objective, *self.functionals.values()))
+
+    @property
+    def next_steps(self) -> int:
+        """The number of steps that `solve(refine=True)` takes next: at least twice the present one, at most eight times
+        as many, and a multiple of the pieces of splines, so that steps end where these do and no order is lost.
+        """
+        return self.pieces * int(np.ceil(min(max(_LEAST, self._times), _MOST) * self.steps / self.pieces))
 
     def __str__(self) -> str:
         where = f"seen on {self.factor} times as many steps{'' if self.steps else ' of what the model simulates'}"
+        name, worst = max(self.functionals.items(), key=lambda one: one[1].ratio, default=("", self.objective))
         if self.is_met:
-            other = f"'{self.worst}' by {self.functionals[self.worst].error:.1e}" if self.worst else "nothing else"
+            other = f"'{name}' by {worst.error:.1e}" if name else "nothing else"
             return f"objective off by {self.objective.error:.1e}, {other}; {where}"
-        is_objective = self.objective.ratio > 1 or not self.worst
-        off = (
-            f"the objective is {self.objective}"
-            if is_objective
-            else f"'{self.worst}' is {self.functionals[self.worst]}"
-        )
-        sentence = self.broken or self.unresolved or (self.at_start if self.ratio <= 1 else "") or off
-        told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
+        off = f"the objective is {self.objective}" if self.objective.ratio > 1 or not name else f"'{name}' is {worst}"
+        told = "about" if self.ratio > 1 and self._times <= _MOST else "at least"
         remedies = []
         if self.steps:
             also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
-            remedies = [f"use {told} {self.steps_needed} steps{also}, or refine=True"]
+            remedies = [f"use {told} {self.next_steps} steps{also}, or refine=True, or declare jumps"]
         if self.inside:
-            remedies.append(f"give the grids inside the model {told} {self._times:.2g} times as many")
-        return f"{sentence}; {where}: {'; '.join(remedies)}"
+            remedies.append(f"give the grids inside the model {told} {min(self._times, _MOST):.2g} times as many")
+        return f"{self.broken or off}; {where}: {'; '.join(remedies)}"
 
 
 TOLERATED = 1e-3
@@ -210,17 +176,13 @@ class Between(Printed):
 
     def __str__(self) -> str:
         if self.holds:
-            cost = f"{self.cost:.2g} of the objective: use more steps" if self.is_costly else ""
-            tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if cost else ""
+            cost = f"{self.cost:.2g} of the objective: use more steps"
+            tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if self.is_costly else ""
             nearly = f" to {self.worst:.1g} of their bounds" if self.worst > HELD else ""
             return f"limits over time hold{nearly} on {self.factor} times as many steps too{tightened}"
         when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"
-        if np.isinf(self.worst):
-            return f"between the instants of the grid '{self.name}' is not a number{when}: use more steps"
-        return (
-            f"between the instants of the grid '{self.name}' exceeds its bound by {self.worst:.2g} of it{when}: "
-            "use more steps"
-        )
+        seen = "is not a number" if np.isinf(self.worst) else f"exceeds its bound by {self.worst:.2g} of it"
+        return f"between the instants of the grid '{self.name}' {seen}{when}: use more steps"
 
 
 @final
@@ -273,7 +235,11 @@ class MeshError(Drawn):
 
 
 class AbstractOverTime(Drawn):
-    """Arrays over time, by name."""
+    """Arrays over time, by name.
+
+    - `times`: s; `values`: each with an axis along these; `phases`: which of the times are those of each phase, if
+      there are phases.
+    """
 
     times: np.ndarray
     values: Mapping[str, np.ndarray]
@@ -306,7 +272,6 @@ class States(AbstractOverTime):
     - `times`: the points of the mesh, s, shape (points,), their means where each realisation has its own;
     - `germs`: the germ points of the realisations, shape (realisations, variables);
     - `values`: by the name of the state, shape (realisations, points, ...);
-    - `phases`: which of the times are those of each phase, if there are phases;
     - `durations`: how long each realisation of a phase lasts, s, where an event ends it, shape (realisations, 1).
     """
 
@@ -342,8 +307,7 @@ class Costates(AbstractOverTime):
 
     - `times`: the nodes of the mesh, s, shape (nodes,);
     - `germs`: the germ points of the realisations, shape (realisations, variables);
-    - `values`: by the name of the state, shape (realisations, nodes, ...);
-    - `phases`: which of the times are those of each phase, if there are phases.
+    - `values`: by the name of the state, shape (realisations, nodes, ...).
     """
 
     times: Float[np.ndarray, " nodes"]
@@ -368,8 +332,7 @@ class Switching(AbstractOverTime):
 
     - `times`: where the scheme asks for rates, s, shape (points,); where inputs jump, nodes may be there twice, as seen
       from before and from after;
-    - `values`: by the name of the input, shape (points, ...);
-    - `phases`: which of the times are those of each phase, if there are phases.
+    - `values`: by the name of the input, shape (points, ...).
     """
 
     times: Float[np.ndarray, " points"]
@@ -393,6 +356,6 @@ class Smoothing(NamedTuple):
     broken: tuple[str, ...]
 
     def __str__(self) -> str:
-        limits = "".join(f", '{name}' moves by {by:.2g}" for name, by in self.moved.items() if by > 0)
         broken = f"; this breaks {', '.join(map(repr, self.broken))}: state smaller widths" if self.broken else ""
+        limits = "".join(f", '{name}' moves by {by:.2g}" for name, by in self.moved.items() if by > 0)
         return f"at half the widths the objective is {self.narrower:.7g} for {self.objective:.7g}{limits}{broken}"

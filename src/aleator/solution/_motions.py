@@ -94,20 +94,17 @@ class Motions(Mapping[str, "xarray.Dataset"]):
         """
         import pandas
 
-        rows = 1 if self.times is None else len(self.times)
-        columns = {} if self.times is None else {"time (s)": self.times}
-        for name, moments in self.moments.items():
-            unit = f" ({self.units[name]})" if self.units.get(name) else ""
-            for kind, values in (("mean", moments.mean), ("std", moments.std)):
-                where = self._of(name)
-                own = np.reshape(values, (len(range(rows)[where]), -1))
-                table = np.full((rows, own.shape[1]), np.nan)
-                table[where] = own
-                for i in range(table.shape[1]):
-                    place = f"[{i}]" if table.shape[1] > 1 else ""
-                    columns[f"{name}{place} {kind}{unit}"] = table[:, i]
+        columns = {}
+        for name, dataset in self.items():
+            unit, times = self.units.get(name), dataset.get("time")
+            for kind in ("mean", "std"):
+                values = dataset[kind].values
+                table = values.reshape(1 if times is None else len(times), -1).T
+                for i, column in enumerate(table):
+                    place, of = f"[{i}]" if len(table) > 1 else "", f" ({unit})" if unit else ""
+                    columns[f"{name}{place} {kind}{of}"] = pandas.Series(column, index=times)
         with writing("to_csv", path) as file:
-            pandas.DataFrame(columns).to_csv(file, index=False)
+            pandas.DataFrame(columns).to_csv(file, index=self.times is not None, index_label="time (s)")
 
     @override
     def __repr__(self) -> str:

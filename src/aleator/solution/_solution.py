@@ -25,8 +25,8 @@ class Branching(Printed):
 
     - `combinations`: how many there are in all;
     - `nodes`: relaxed solves, in which those that are not decided yet are numbers between bounds, or where there are
-      few combinations (`listed`), solves of each; `candidates`: complete solves, with the certificate;
-    - `passed_over`: candidates whose certificate failed, or whose solve did, and which may be better than the answer;
+      few combinations (`listed`), solves of each;
+    - `passed_over`: those whose certificate failed, or whose solve did, and which may be better than the answer;
     - `bound`: no combination has an objective below it, as far as each node was solved to its *global* optimum: so it
       is where the relaxed problem is convex, which nobody checks. `gap`: the objective less the bound;
     - `better`: the best combination that was passed over, if its node is below the answer, in words; else empty;
@@ -36,7 +36,6 @@ class Branching(Printed):
 
     combinations: int
     nodes: int
-    candidates: int
     passed_over: int
     listed: bool
     bound: float
@@ -74,32 +73,12 @@ class Times(Printed):
 
 @final
 @dataclass(frozen=True)
-class AtMeans(Printed):
-    """The deterministic problem where that was solved first.
-
-    - `status`: how it ended; `starts`: whether the problem itself was started from there;
-    - `iterations`, `evaluations`: see `Effort`.
-    """
-
-    status: Status
-    starts: bool
-    iterations: int
-    evaluations: int
-
-    def __str__(self) -> str:
-        end = "" if self.starts else f", which ended as '{self.status.value}' and started nothing"
-        return f"{self.iterations} iterations, {self.evaluations} evaluations for the deterministic problem{end}"
-
-
-@final
-@dataclass(frozen=True)
 class Effort(Printed):
     """Iterations, evaluations and times of a solve.
 
     - `solver`: its name and version; `iterations`: as the solver counts them, over all restarts;
     - `evaluations`: points at which the problem was simulated; `times`: wall times;
-    - `at_means`: the deterministic problem, if that was solved first; its work is not counted in the others, except for
-      compilations;
+    - `at_means`: whether the answer to the deterministic problem started this one; None if that was not solved first;
     - `searched`: the history of a search without derivatives, if there was one; its evaluations are counted;
     - `visited`: the history of the local solver (`al.reporting.search_figure` draws it), if there was one.
     """
@@ -108,12 +87,14 @@ class Effort(Printed):
     iterations: int
     evaluations: int
     times: Times
-    at_means: AtMeans | None = None
+    at_means: bool | None = None
     searched: Searched | None = None
     visited: Searched | None = None
 
     def __str__(self) -> str:
-        before = "" if self.at_means is None else f"after {self.at_means}: "
+        before = {None: "", True: "from the answer at the means: ", False: "without an answer at the means: "}[
+            self.at_means
+        ]
         before += "" if self.searched is None else f"{self.searched}; in all "
         return f"{before}{self.iterations} iterations, {self.evaluations} evaluations; {self.times}"
 
@@ -341,7 +322,7 @@ class Solution(Drawn):
                 for one in self.violated
             )
             said = (part.rstrip(".") for part in (self.status.value, broken, self.message) if part)
-            coarse = f" Perhaps for its grid: {misled}. Use more steps." if misled else ""
+            coarse = f" Perhaps for its grid: {misled}." if misled else ""
             reason = f"{'. '.join(said)}.{coarse}"
         return f"{self.effort.solver}: {reason}"
 

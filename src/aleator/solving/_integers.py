@@ -24,7 +24,7 @@ from aleator.ensemble import listed
 from aleator.nlp import AbstractLocalSolver, AbstractSolver, Outcome, Status
 from aleator.solution import Branching, Solution
 from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
-from aleator.uncertainty import Table, tables_of, with_decisions
+from aleator.uncertainty import tables_of, with_decisions
 
 Full = Callable[[Problem, Mapping[str, Any]], Solution]
 Rows = tuple[int, ...]
@@ -56,20 +56,26 @@ class Node(NamedTuple):
 class Tree:
     """The nodes of one search.
 
-    - `decided`: the complete solution with some rows, from a point; `nodes`: the outcomes of all nodes;
-    - `tried`: rows that were solved in full; `answer`: the best solution so far; `passed`: those that are none or were
-      refused, though a node met the limits, with the optimum of their nodes and the rows.
+    - `full`: the complete solution of a problem whose integers and choices have one value, from a start by name;
+    - `nodes`: the outcomes of all nodes; `open`: nodes to look at; `tried`: rows that were solved in full;
+    - `answer`: the best solution so far; `passed`: those that are none or were refused, though a node met the limits,
+      with the optimum of their nodes and the rows.
     """
 
     transcribed: AbstractTranscribed
     solver: AbstractSolver
-    tables: tuple[Table, ...]
-    decided: Callable[[Rows, np.ndarray], Solution]
-    tried: set[Rows] = field(default_factory=set)
+    full: Full
+    nodes: list[Outcome] = field(default_factory=list)
     open: list[Node] = field(default_factory=list)
+    tried: set[Rows] = field(default_factory=set)
     answer: Solution | None = None
     passed: list[tuple[float, Rows, Solution | ProblemError]] = field(default_factory=list)
-    nodes: list[Outcome] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.problem, self.places = self.transcribed.problem, self.transcribed.places
+        self.tables = tables_of(self.places)
+        self.every: Left = tuple(np.arange(len(table.rows)) for table in self.tables)
+        self.combinations = math.prod(map(len, self.every))
 
     def grow(self, left: Left, start: np.ndarray, bound: float = -np.inf) -> None:
         """Solve a node, and keep it open unless its limits cannot be met. Its optimum is not below its parent's."""
@@ -82,11 +88,10 @@ class Tree:
         self.nodes.append(outcome)
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        if outcome.status is Status.INFEASIBLE:
-            return
-        own = outcome.evaluation.objective if outcome.ok else -np.inf  # a search that failed says nothing
-        node = Node(max(own, bound), math.prod(map(len, left)), len(self.nodes), left, outcome.point)
-        heapq.heappush(self.open, node)
+        if outcome.status is not Status.INFEASIBLE:
+            own = outcome.evaluation.objective if outcome.ok else -np.inf  # a search that failed says nothing
+            node = Node(max(own, bound), math.prod(map(len, left)), len(self.nodes), left, outcome.point)
+            heapq.heappush(self.open, node)
 
     def distances(self, left: Left, point: np.ndarray) -> list[Float[np.ndarray, "..."]]:
         """How far the numbers at a point are from each row that is left, as parts of the ranges."""
@@ -113,6 +118,23 @@ class Tree:
             left = (*node.left[:i], node.left[i][part], *node.left[i + 1 :])
             self.grow(left, node.point, node.bound)
 
+    def numbers(self, rows: Rows, vector: np.ndarray) -> dict[str, Any]:
+        """The decisions by name: some rows, and the other numbers of a vector."""
+        vector = vector.copy()
+        for table, row in zip(self.tables, rows, strict=True):
+            vector[table.where] = table.rows[row]
+        return self.places.named(np.clip(vector, self.places.vector("lower"), self.places.vector("upper")))
+
+    def decided(self, rows: Rows, point: np.ndarray) -> Solution:
+        """The complete solution with some rows, from the other numbers of a point."""
+        values = self.numbers(rows, self.transcribed.decisions(point))
+
+        def held(name: str, one: Any) -> Any:
+            ends = (float(values[name]),) * 3 if one.values is not None else (one.initial, one.lower, one.upper)
+            return eqx.tree_at(lambda leaf: (leaf.initial, leaf.lower, leaf.upper), one, ends)
+
+        return self.full(_with_decisions(self.problem, held), values)
+
     def complete(self, rows: Rows, node: Node) -> float:
         """Solve with some rows in full, from a node. Returns the objective; infinite where that is no answer."""
         self.tried.add(rows)
@@ -121,11 +143,12 @@ class Tree:
         except ProblemError as error:
             self.passed.append((node.bound, rows, error))
             return np.inf
-        if solution.ok and (self.answer is None or solution.objective < self.answer.objective):
-            self.answer = solution
-        if not (solution.ok or solution.status is Status.INFEASIBLE):
+        if solution.ok:
+            self.answer = min((one for one in (self.answer, solution) if one), key=lambda one: one.objective)
+            return solution.objective
+        if solution.status is not Status.INFEASIBLE:
             self.passed.append((node.bound, rows, solution))
-        return solution.objective if solution.ok else np.inf
+        return np.inf
 
     def step(self) -> None:
         """Solve the node of the lowest bound in full where it lies on rows, and divide it if others may be better."""
@@ -148,8 +171,8 @@ class Tree:
     @property
     def is_over(self) -> bool:
         """Whether no open node can be better than the answer."""
-        answer = self.answer
-        return not self.open or (answer is not None and self.bound >= answer.objective - _SAME * abs(answer.objective))
+        answer = np.inf if self.answer is None else self.answer.objective
+        return not self.open or self.bound >= answer - _SAME * abs(answer) > -np.inf
 
 
 def branched(
@@ -161,39 +184,16 @@ def branched(
 ) -> Solution:
     """The solution with the best integers and rows of tables, and how it was found.
 
-    - `first`: the decisions to start from; `full`: the complete solution of a problem whose integers and choices have
-      one value, from a start by name.
+    - `first`: the decisions to start from; `full`: see `Tree`.
     """
-    places, tables = problem.placements, tables_of(problem.placements)
     transcribed = transcribe(problem, transcription)
     start = transcribed.program.start if first is None else transcribed.point(first)
     if isinstance(solver, AbstractLocalSolver):
         solver = replace(solver, max_iterations=min(solver.max_iterations, _ITERATIONS))
-
-    def numbers(rows: Rows, vector: np.ndarray) -> dict[str, Any]:
-        """The decisions by name: some rows, and the other numbers of a vector."""
-        vector = vector.copy()
-        for table, row in zip(tables, rows, strict=True):
-            vector[table.where] = table.rows[row]
-        return places.named(np.clip(vector, places.vector("lower"), places.vector("upper")))
-
-    def decided(rows: Rows, point: np.ndarray) -> Solution:
-        """The complete solution with some rows, from the other numbers of a point."""
-        values = numbers(rows, transcribed.decisions(point))
-
-        def held(name: str, one: Any) -> Any:
-            if one.values is None:
-                return one
-            return eqx.tree_at(lambda leaf: (leaf.initial, leaf.lower, leaf.upper), one, (float(values[name]),) * 3)
-
-        return full(_with_decisions(problem, held), values)
-
-    tree = Tree(transcribed, solver, tables, decided)
-    every = tuple(np.arange(len(table.rows)) for table in tables)
-    combinations, interrupted = math.prod(map(len, every)), False
-    is_listed = combinations <= _LISTED
+    tree, interrupted = Tree(transcribed, solver, full), False
+    is_listed = tree.combinations <= _LISTED
     try:
-        for left in itertools.product(*every) if is_listed else [every]:
+        for left in itertools.product(*tree.every) if is_listed else [tree.every]:
             tree.grow(tuple(map(np.atleast_1d, left)), start)
         while not tree.is_over and len(tree.nodes) < _MOST:
             tree.step()
@@ -205,19 +205,18 @@ def branched(
             raise
         interrupted = True
     if tree.answer is None:
-        return _as_declared(_unsolved(tree, every), problem, None, tree.nodes)
-    objective, alone = tree.answer.objective, sum(len(table.where) for table in tables) == places.size
+        return _as_declared(_unsolved(tree), tree, None)
+    objective, lowest, in_words = tree.answer.objective, tree.bound, ""
     better = [one for one in tree.passed if -np.inf < one[0] < objective - _SAME * abs(objective)]
-    lowest, in_words = tree.bound, ""
     if better:
         bound, rows, _ = min(better, key=itemgetter(0))
-        named = numbers(rows, places.vector("initial"))
-        chosen = {name: named[name] for name, one in places.decisions.items() if one.decision.values is not None}
+        named = tree.numbers(rows, tree.places.vector("initial"))
+        chosen = {name: named[name] for name, one in tree.places.decisions.items() if one.decision.values is not None}
         lowest, in_words = min(lowest, bound), f"{listed(chosen)} (objective {bound:.6g})"
+    alone = sum(len(table.where) for table in tree.tables) == tree.places.size
     branching = Branching(
-        combinations=combinations,
+        combinations=tree.combinations,
         nodes=len(tree.nodes),
-        candidates=len(tree.tried),
         passed_over=len(tree.passed),
         listed=is_listed,
         bound=min(lowest, objective),
@@ -227,35 +226,36 @@ def branched(
         is_proven=is_listed and tree.is_over and alone and not tree.passed,
     )
     answer = replace(tree.answer, status=Status.INTERRUPTED) if interrupted else tree.answer
-    return _as_declared(answer, problem, branching, tree.nodes)
+    return _as_declared(answer, tree, branching)
 
 
-def _unsolved(tree: Tree, every: Left) -> Solution:
+def _unsolved(tree: Tree) -> Solution:
     """What is said where no combination is an answer: the first whose certificate failed, else the least violated."""
     for _, _, one in tree.passed:
         if isinstance(one, ProblemError):
             raise one
         return one
     point = min(tree.nodes, key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point
-    solution = tree.decided(tree.nearest_rows(every, point)[0], point)
-    said = f"None of {math.prod(map(len, every))} combinations of integers and choices was found to meet all limits"
+    solution = tree.decided(tree.nearest_rows(tree.every, point)[0], point)
+    said = f"None of {tree.combinations} combinations of integers and choices was found to meet all limits"
     return replace(solution, message=f"{said}. {solution.message}".strip())
 
 
-def _as_declared(solution: Solution, problem: Problem, branching: Branching | None, nodes: list[Outcome]) -> Solution:
+def _as_declared(solution: Solution, tree: Tree, branching: Branching | None) -> Solution:
     """The solution of the problem as it was declared, in which integers and choices are free again."""
-    decisions = problem.placements.decisions
-    chosen = {name: place.decision for name, place in decisions.items() if place.decision.values is not None}
+    chosen = {name: one.decision for name, one in tree.places.decisions.items() if one.decision.values is not None}
     at_ends = {name for name, one in chosen.items() if solution.decisions[name] in (one.lower, one.upper)}
+    iterations, evaluations = (sum(getattr(one, of) for one in tree.nodes) for of in ("iterations", "evaluations"))
+    effort = replace(
+        solution.effort,
+        iterations=solution.effort.iterations + iterations,
+        evaluations=solution.effort.evaluations + evaluations,
+    )
     return replace(
         solution,
         problem=_with_decisions(solution.problem, lambda name, one: chosen.get(name, one)),
         at_bounds=tuple(name for name in solution.at_bounds if name not in chosen or name in at_ends),
-        effort=replace(
-            solution.effort,
-            iterations=solution.effort.iterations + sum(one.iterations for one in nodes),
-            evaluations=solution.effort.evaluations + sum(one.evaluations for one in nodes),
-        ),
+        effort=effort,
         branching=branching,
     )
 

@@ -14,10 +14,11 @@ from aleator._core.errors import ProblemError, SimulationError, SolveError
 from aleator._core.executors import check_executor
 from aleator._core.journalled import journalled
 from aleator._core.parallel import dropped_on_failure, heeding, one_thread_of_blas
-from aleator.certification import Held, doubts, refinement, unconverged, with_opinion
+from aleator.certification._grids import refinement
+from aleator.certification._judgement import Held, doubts, with_opinion
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
-from aleator.solution import AtMeans, Solution
+from aleator.solution import Solution
 from aleator.solving._integers import branched
 from aleator.solving._intervals import robust
 from aleator.solving._stages import Stages
@@ -74,15 +75,13 @@ def check_arguments(call: Call) -> None:
     if call.executor is not None and not (isinstance(solver, AbstractSearch) and solver.at_once):
         raise ProblemError(
             "solve: executor: expected a solver that evaluates many designs at once, such as "
-            f"al.solvers.DifferentialEvolution(); received {type(solver).__name__}, which goes from one design to the "
-            "next. al.multistart, al.portfolio and al.pareto share several solves."
+            f"al.solvers.DifferentialEvolution(); received {type(solver).__name__}. al.multistart, al.portfolio and "
+            "al.pareto share several solves."
         )
     if warm_start is None:
         return
     if call.deterministic_first:
-        raise ProblemError(
-            "solve: expected either `warm_start` or `deterministic_first`, for each says where to start; received both."
-        )
+        raise ProblemError("solve: expected either `warm_start` or `deterministic_first`; received both.")
     if one_of("solve: warm_start", warm_start, Solution).problem.names != problem.names:
         raise ProblemError(
             "solve: a warm start is a solution of a problem with the same constraints; expected "
@@ -136,32 +135,25 @@ def solve(
     - `transcription`: how the problem becomes a nonlinear program: `Sequential()` by default;
     - `warm_start`: a solution of the same problem to start from, on the same grid or another, with as many control
       points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken
-      over by name. Where states are variables, they start from its own too, in the place of a guess;
-    - `start`: values of decisions by name to start from, in the place of their own initial ones;
-    - `deterministic_first`: solve the problem with every distribution held at its mean first, and start from that: from
-      its decisions and, where states are variables, the states. For problems that are hard to start: a way for one
-      system is found sooner than for many. `solution.effort.at_means` tells how that ended;
-    - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
-      exceeded between two instants, the peak there is limited, or the bounds are tightened, until they hold; where that
-      fails or is costly, the problem is solved again on a finer grid (see `refine`). A solution that exceeds a limit by
-      more than a thousandth of it nevertheless has failed. 1 leaves that out. By default 11 for systems that follow
-      trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
-    - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. It
-      is told by a finer grid and an integrator of another order. A solution whose objective is off by more than this
-      part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;
+      over by name. Where states are variables, they start from its own too, instead of a guess;
+    - `start`: values of decisions by name to start from, instead of their own initial ones;
+    - `deterministic_first`: start from the decisions and states of the answer with every distribution at its mean, a
+      way for one system being found sooner than for many. `solution.effort.at_means` tells whether there was one;
+    - `between`: limits over time are held between the instants too, as seen on a grid of so many times as many steps;
+      a solution that exceeds one there by more than a thousandth has failed. 1 leaves that out. By default 11 for
+      systems that follow trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
+    - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. A
+      solution whose objective is off by more than this part of it, or that breaks a limit on a finer grid, has failed;
+      other errors beyond it are warned of;
     - `refine`: solve again on finer grids, each from the last solution, until the error is tolerated. The solution's
       problem then has the finest grid. By default only where limits over time need one: where they break between the
-      instants of this grid whatever the bounds there are, or hold by bounds that cost more than a twentieth of the
-      objective, as where outputs jump with a control. False keeps the grid;
+      instants of this grid, or hold by bounds that cost more than a twentieth of the objective. False keeps the grid;
     - `executor`: simulates the generations of a search without derivatives (see `al.pareto`), with the same result;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
     Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
     not finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not
-    resolved (where it is too coarse for a statistic that is asked of it, the solution has failed: a tail beyond the
-    expansion's tolerance, a spread by more than a third of itself), or if a few fresh simulations at the answer
-    contradict it (where that breaks a limit, the solution has failed: see `SecondOpinion`), with `GridWarning` if the
-    grid is too coarse.
+    resolved or fresh simulations contradict it, with `GridWarning` if the grid is too coarse: see `Certificate`.
     """
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     each = problem, solver, transcription, warm_start, start, deterministic_first, between, accuracy, refine, executor
@@ -223,11 +215,9 @@ def _solved_at_once(call: Call) -> Solution:
                 break
             solution, held = further, with_further
             solutions.append(solution)
-        reason = unconverged(solutions) if call.refine else ""
         solution = solution if held is None else with_opinion(solution, held)
         times = replace(solution.effort.times, compile_=Compiled.seconds - before)
-        effort = replace(solution.effort, at_means=at_means, times=times)
-        solution = replace(solution, effort=effort, message=reason or solution.message)
+        solution = replace(solution, effort=replace(solution.effort, at_means=at_means, times=times))
         heed()
     return solution
 
@@ -239,20 +229,16 @@ def _answer(stages: Stages, problem: Problem, first: np.ndarray | None, *known: 
     return stages.answer_in_elements(problem, first, *known)
 
 
-def _from_means(
-    stages: Stages, problem: Problem, first: np.ndarray | None
-) -> tuple[Stages, np.ndarray | None, AtMeans | None]:
-    """The stages and the decisions that start from the answer to the deterministic problem, if it has one."""
+def _from_means(stages: Stages, problem: Problem, first: np.ndarray | None) -> tuple[Stages, np.ndarray | None, bool]:
+    """The stages and the decisions that start from the answer to the deterministic problem, and whether it has one."""
     try:
         mean, _ = _answer(stages._replace(between=1), deterministic(problem), first)
     except ProblemError:
         # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
         # the problem itself.
-        return stages, first, AtMeans(Status.INFEASIBLE, starts=False, iterations=0, evaluations=0)
-    starts = mean.status in (Status.SOLVED, Status.INTERRUPTED)
-    at_means = AtMeans(mean.status, starts, mean.effort.iterations, mean.effort.evaluations)
-    if not starts:
-        return stages, first, at_means
-    stages = stages._replace(transcription=stages.transcription.starting_from(mean))
+        return stages, first, False
+    if mean.status not in (Status.SOLVED, Status.INTERRUPTED):
+        return stages, first, False
     # Controls on a refined mesh have more values than the problem's.
-    return stages, started_from(problem, mean), at_means
+    stages = stages._replace(transcription=stages.transcription.starting_from(mean))
+    return stages, started_from(problem, mean), True

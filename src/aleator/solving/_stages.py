@@ -14,31 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.certification import (
-    Held,
-    Margins,
-    Oracle,
-    begin_check,
-    broken_at,
-    check_factor,
-    cost_of_margins,
-    diagnose,
-    excess_between,
-    grid_error,
-    idle_scenarios,
-    is_checked,
-    limits_beside,
-    magnitudes_at,
-    margins_for,
-    misled_at,
-    pieces,
-    prepare_check,
-    scenarios_at_start,
-    solution_of,
-    tightened,
-    worst_case_limits,
-    worst_case_of,
-)
+from aleator.certification._between import cost_of_margins, excess_between, limits_beside, margins_for, tightened
+from aleator.certification._check import Check, begin_check
+from aleator.certification._grids import grid_error, misled_at
+from aleator.certification._judgement import Held, diagnose, solution_of
+from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
+from aleator.certification._worst_case import Oracle, worst_case_limits
 from aleator.design import Problem, destabilised, is_over_time
 from aleator.nlp import (
     HELD,
@@ -52,7 +33,7 @@ from aleator.nlp import (
     least_excess,
     restart_of,
 )
-from aleator.solution import Solution, WorstCase
+from aleator.solution import TOLERATED, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
@@ -67,8 +48,8 @@ from aleator.transcription import (
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
 
-# How often at most: an answer is left for a better one, bounds are tightened, peaks are imposed, scenarios are added.
-_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_EXCHANGES, _MOST_SCENARIOS = 8, 12, 3, 20
+# How often at most: an answer is left for a better one, limits are held between the instants, scenarios are added.
+_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
 # Iterations from an answer to a close one with peaks limited.
 _MOST_STEPS = 20
 # Iterations to a design that meets the limits, or to the least excess, however few the search itself was allowed.
@@ -116,10 +97,9 @@ class Stages(NamedTuple):
         problem, factor, oracle = transcribed.problem, check_factor(transcribed.problem, self.between), None
         if worst_case_limits(problem) and problem.placements.germs:
             oracle, outcome = Oracle(problem, factor if self.judges_between(problem) else 1), None
-            transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, point, known))
+            transcribed = oracle.begun(transcribed, transcribed.program.start if point is None else point, known)
         # Search.
         first = transcribed.program.start if point is None else point
-        begun = magnitudes_at(transcribed, first)
         outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = looked_around(transcribed, self.solver.local, outcome, first)
@@ -129,29 +109,14 @@ class Stages(NamedTuple):
         if self.transcription.refines and oracle is None and is_elsewhere:
             transcribed, _, outcome = self._on_fine_mesh(transcribed, outcome.point)
             problem, first = transcribed.problem, outcome.point
-            begun = magnitudes_at(transcribed, first)
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
-        transcribed, outcome = held.transcribed, held.outcome
-        if outcome.status is Status.INTERRUPTED and outcome.searched is None:
+        # Judge.
+        if held.outcome.status is Status.INTERRUPTED and held.outcome.searched is None:
             raise KeyboardInterrupt
-        if outcome.failed_at is not None:
-            outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
-        if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
-            said = destabilised(problem, transcribed.decisions(outcome.point))
-            outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
-        # Judge the grid.
-        is_solved, misled = outcome.status is Status.SOLVED, ""
         is_unknown = multipliers is None and not self.transcription.is_guessed
-        if is_unknown and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
-            misled = misled_at(transcribed, first, begun, outcome.point if is_solved else None, factor)
-            if outcome.status is Status.INFEASIBLE and not misled:
-                misled = grid_error(begin_check(transcribed, outcome.point, factor)(), self.accuracy).unresolved
-        error = None
-        if held.check is not None and factor > 1:
-            error = replace(grid_error(held.check, self.accuracy), at_start=misled)
-        held = held._replace(outcome=outcome, error=error, misled="" if is_solved else misled)
+        held = self._judged(held, first if is_unknown else None, factor)
         return solution_of(held), held
 
     def answer_in_elements(
@@ -220,9 +185,9 @@ class Stages(NamedTuple):
             return outcome
         if transcribed.scenarios is not None:
             simulated = simulated.at_scenarios(transcribed.scenarios)
-        solver = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS)
-        groups, program = rows_by_name(simulated), simulated.program
-        least = least_excess(solver, program, groups, (), range(len(groups)), [program.start])
+        solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), rows_by_name(simulated)
+        start = [simulated.program.start]
+        least = least_excess(solver, simulated.program, groups, (), range(len(groups)), start)
         if least.total <= HELD:
             start = transcribed.point(simulated.decisions(least.point))
             further = self.searched(transcribed, start, None, goes_on=True)
@@ -269,107 +234,95 @@ class Stages(NamedTuple):
         """Whether limits are to hold between the instants too."""
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
+    def checked(self, held: Held, waiting: Callable[[], Check], cost: float | None = None) -> Held:
+        """What was held, with a check of its outcome, and how far limits are exceeded between the instants.
+
+        - `cost`: that of the margins by which it was found, None without any.
+        """
+        check, problem = waiting(), held.transcribed.problem
+        if check.factor == 1 or not self.judges_between(problem):
+            return held._replace(check=check)
+        is_strict = cost is not None or self.between is not None or pieces(problem) > 0
+        between = replace(excess_between(check)[0], is_strict=is_strict, cost=cost or 0.0)
+        return held._replace(check=check, between=between)
+
     def _held_between(self, held: Held, factor: int) -> Held:
-        """Limit what breaks between the instants, and solve again: peaks and values beside jumps at once, or, where no
-        answer close by follows from that, bounds tightened at the instants until limits hold, and peaks from there.
+        """Limit what breaks between the instants, and solve again until limits hold there: peaks and values beside
+        jumps, so that the answer does not depend on where the instants are and its multipliers are slopes of the
+        optimum; or, where no answer close by follows from that, by bounds tightened at the instants alone.
 
         An outcome that is not solved is returned unchanged.
         """
         self.heed()
-        transcribed, outcome = held.transcribed, held.outcome
-        if outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
+        transcribed = held.transcribed
+        if held.outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
             return held
-        check = begin_check(transcribed, outcome.point, factor)()
-        if factor == 1 or not self.judges_between(transcribed.problem):
-            return held._replace(check=check)
-        between, shifts = excess_between(check)
-        held, loosest = held._replace(between=between, check=check), outcome.evaluation.objective
-        if between.is_coarse and not self.keeps_grid:
-            return held
-        has_kinks = False
-        if HELD < between.worst < np.inf:
-            held, has_kinks = self._with_peaks(held, loosest, None, factor)
-            outcome = held.outcome
-            if outcome.status is Status.INTERRUPTED or held.check is not check:
-                return held
-        best, cost = (outcome, check, between), 0.0
-        rounds, margins, latest = [outcome], None, between
-        while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
+        first = best = last = self.checked(held, begin_check(transcribed, held.outcome.point, factor))
+        margins, at_peaks, tried = None, True, []
+        is_over = first.between is not None and first.between.is_coarse and not self.keeps_grid
+        while not is_over and HELD < last.excess < np.inf and len(tried) < _MOST_TIGHTENINGS:
+            assert last.check is not None
+            _, shifts = excess_between(last.check, margins, at_peaks=at_peaks)
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
-            margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
-            again = self._going_on(transcribed, rounds[-1], margins)
+            margins = margins_for(margins, shifts, relax=at_peaks or len(tried) <= _MOST_TIGHTENINGS // 2)
+            at_peaks = at_peaks and limits_beside(margins)
+            local = replace(self.solver.local, max_iterations=_MOST_STEPS) if at_peaks else self.solver.local
+            program, begun = tightened(transcribed, margins), last.outcome
+            again = self._replace(solver=local).searched(transcribed, begun.point, begun.multipliers, program)
+            tried.append(again)
             if again.status is Status.INTERRUPTED:
-                return held._replace(outcome=again)
-            if again.status is not Status.SOLVED:
-                break
-            check = begin_check(transcribed, again.point, factor)()
-            latest, shifts = excess_between(check)
-            rounds.append(again)
-            if latest.worst <= best[2].worst:
-                best, cost = (again, check, latest), cost_of_margins(transcribed, margins, loosest, again)
-            elif best[2].holds:
-                break  # Tighter bounds may make the plan bulge more between them.
-        answer, check, between = best
-        is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
-        answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
-        between = replace(between, is_strict=is_strict, cost=cost)
-        held = held._replace(outcome=answer, between=between, check=check)
-        is_tightened = len(rounds) > 1 and best[0] is rounds[-1] and latest.worst <= HELD
-        return self._with_peaks(held, loosest, margins, factor)[0] if is_tightened and not has_kinks else held
-
-    def _with_peaks(self, held: Held, loosest: float, margins: Margins | None, factor: int) -> tuple[Held, bool]:
-        """An answer with peaks limited, and values beside jumps: it does not depend on where the instants are, and its
-        multipliers are slopes of the optimum. The same answer where that is not close by; and whether limits have
-        kinks, at which steps shrink for ever.
-
-        - `margins`: those that hold the answer, None where limits break between the instants.
-        """
-        local = replace(self.solver.local, max_iterations=_MOST_STEPS)
-        transcribed, check, rounds = held.transcribed, held.check, [held.outcome]
-        while check is not None and len(rounds) <= _MOST_EXCHANGES:
-            margins = margins_for(margins, excess_between(check, margins, at_peaks=True)[1], relax=True)
-            if not limits_beside(margins):
-                break
-            again = self._replace(solver=local)._going_on(transcribed, rounds[-1], margins)
-            rounds.append(again)
-            if again.status is not Status.SOLVED:
-                break
-            check = begin_check(transcribed, again.point, factor)()
-            between, _ = excess_between(check)
-            if between.worst <= HELD:
-                between = replace(between, is_strict=True, cost=cost_of_margins(transcribed, margins, loosest, again))
-                return held._replace(outcome=again.with_effort_of(*rounds[:-1]), between=between, check=check), False
-            if not between.holds:
-                break
-        interrupted = rounds[-1] if rounds[-1].status is Status.INTERRUPTED else None
-        outcome = interrupted or held.outcome.with_effort_of(*rounds[1:])
-        return held._replace(outcome=outcome), rounds[-1].status is Status.ITERATION_LIMIT
-
-    def _going_on(self, transcribed: AbstractTranscribed, last: Outcome, margins: Margins) -> Outcome:
-        """A search from the last one, with limits over time imposed as margins say."""
-        return self.searched(transcribed, last.point, last.multipliers, tightened(transcribed, margins), goes_on=True)
+                return last._replace(outcome=again)
+            if again.status is Status.SOLVED:
+                cost = cost_of_margins(transcribed, margins, first.outcome.evaluation.objective, again)
+                waiting = begin_check(transcribed, again.point, factor)
+                further = self.checked(held._replace(outcome=again), waiting, cost)
+                if not at_peaks or further.excess <= TOLERATED:
+                    # Tighter bounds may make the plan bulge more between them.
+                    is_over = further.excess > best.excess and best.excess <= TOLERATED
+                    best, last = further if further.excess <= best.excess else best, further
+                    continue
+            # Limits have kinks, at which steps shrink for ever, or another answer follows.
+            is_over, at_peaks, margins, last = not at_peaks, False, None, first
+        others = (one for one in (first.outcome, *tried) if one is not best.outcome)
+        return best._replace(outcome=best.outcome.with_effort_of(*others))
 
     def _held_at_worst(self, held: Held, oracle: Oracle, factor: int) -> Held:
         """Impose limits at realisations that break them, and solve again, until none is found."""
         rounds, worst, is_found = 1, np.zeros((0, len(oracle.low))), True
         while held.outcome.status is Status.SOLVED:
             transcribed, before = held.transcribed, held.outcome
-            new, worst = broken_at(transcribed, oracle, before, rounds)
-            if not len(new):
+            new, worst = oracle.broken(transcribed, before, rounds)
+            is_found = not len(new)
+            if is_found or rounds == _MOST_SCENARIOS:
                 break
-            if rounds == _MOST_SCENARIOS:
-                is_found = False
-                break
-            assert transcribed.scenarios is not None
-            idle = idle_scenarios(transcribed, before.point)
-            transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
+            transcribed, is_found = oracle.imposed(transcribed, before, new), True
             start = transcribed.point(transcribed.decisions(before.point))
             again = self.searched(transcribed, start, before.multipliers, goes_on=True)
             held = self._held_between(Held(transcribed, again), factor)
             held = held._replace(outcome=held.outcome.with_effort_of(before))
             rounds += 1
-        worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
+        worst_case = oracle.found(held.transcribed, held.outcome, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
+
+    def _judged(self, held: Held, start: np.ndarray | None, factor: int) -> Held:
+        """What was held, with the error of its grid, and what a program says that is not solved.
+
+        - `start`: where the search began, None where it was near an answer.
+        """
+        transcribed, outcome, error, misled = held.transcribed, held.outcome, None, ""
+        problem, is_solved = transcribed.problem, outcome.status is Status.SOLVED
+        if outcome.failed_at is not None:
+            outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
+        if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
+            said = destabilised(problem, transcribed.decisions(outcome.point))
+            outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
+        if start is not None and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
+            misled = misled_at(transcribed, start, outcome.point if is_solved else None, factor)
+            if outcome.status is Status.INFEASIBLE and not misled:
+                misled = grid_error(begin_check(transcribed, outcome.point, factor)(), self.accuracy).broken
+        if held.check is not None and factor > 1:
+            error = grid_error(held.check, self.accuracy)
+        return held._replace(outcome=outcome, error=error, misled=misled)
 
 
 def looked_around(
