@@ -90,7 +90,6 @@ def test_every_page_is_in_the_navigation_and_links_to_files_that_exist():
 def test_every_way_in_which_a_solve_ends_is_on_the_page_of_failures():
     page = (ROOT / "docs/solving.md").read_text(encoding="utf-8").lower()
     against = {
-        **dict.fromkeys(("crossed", "extrapolated", "indistinct", "lost", "untrusted"), "a reason"),
         "between": types.SimpleNamespace(holds=False),
         "grid_error": types.SimpleNamespace(is_usable=False, steps=9),
         "opinion": types.SimpleNamespace(broken="a limit", samples=9, remedy="Raise the order"),
@@ -100,6 +99,10 @@ def test_every_way_in_which_a_solve_ends_is_on_the_page_of_failures():
     certificates = [al.results.Certificate(0.0, 0.0, 0.0, quality, **{name: one}) for name, one in against.items()]
     ends = [one.objection.phrase for one in certificates if one.objection]
     assert len(ends) == len(against)
+    judgement = (ROOT / "src/aleator/certification/_judgement.py").read_text(encoding="utf-8")
+    others = re.findall(r'Objection\("([^"]+)"|^ {8}"([a-z][^"]+)": ', judgement, flags=re.MULTILINE)
+    assert len(others) == 5
+    ends += ["".join(one) for one in others]
     ends += [status.value for status in al.Status if status is not al.Status.SOLVED]
     assert [end for end in ends if end.lower() not in page] == []
 

@@ -191,7 +191,7 @@ def pearson(start, std, rho=0.6):
 
 
 def test_correlations_that_a_decided_shape_moves_are_told_and_solving_again_regains_them():
-    with pytest.warns(al.CorrelationWarning, match="0.554 between a and b in the place of 0.6") as caught:
+    with pytest.warns(al.CorrelationWarning, match="0.554 between a and b in place of 0.6") as caught:
         solution = al.solve(problem(*lognormals(0.05)))
     assert len(caught) == 1
     assert pearson(0.05, solution.decisions["a.std"]) == pytest.approx(0.554, abs=5e-4)
