@@ -90,7 +90,7 @@ Result: TypeAlias = "Solution | Evidence | Front | TradeOff | Calibration | xarr
 PAGE = "report.html"
 """The page of a study, beside its results."""
 
-_RESULTS, _DESIGNS, _CONTENTS = "results.nc", "designs.json", "contents"
+_RESULTS, _DESIGNS = "results.nc", "designs.json"
 
 
 def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
@@ -109,35 +109,17 @@ def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") 
     return _write(folder, kept)
 
 
-def save_study(folder: Path, results: Mapping[str, Any], contents: str = "") -> tuple[Path, ...]:
-    """Write results that are `savable`, and remove an earlier page, which would show other numbers.
-
-    `contents`: a digest of all that they follow from, if that is known; files that have the same one stay as they are.
-    """
-    names = [_RESULTS, *[_DESIGNS] * any(isinstance(result, Solution) for result in by_place(results).values())]
-    paths = tuple(folder / name for name in names)
-    if contents and all(path.exists() for path in paths) and _contents_of(folder / _RESULTS) == contents:
-        return paths
-    return _write(folder, results, {PAGE: None}, contents)
-
-
-def _contents_of(path: Path) -> str:
-    """The digest with which a study's results were written."""
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            return str(file.attrs.get(_CONTENTS, ""))
-    except OSError:  # it is damaged
-        return ""
+def save_study(folder: Path, results: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Write results that are `savable`, and remove an earlier page, which would show other numbers."""
+    return _write(folder, results, {PAGE: None})
 
 
 def _write(
-    folder: str | Path, results: Mapping[str, Any], outdated: Mapping[str, None] | None = None, contents: str = ""
+    folder: str | Path, results: Mapping[str, Any], outdated: Mapping[str, None] | None = None
 ) -> tuple[Path, ...]:
     """Write one set of results, and remove outdated files with the earlier set."""
     generation, nodes = uuid.uuid4().hex, tree(results)
-    nodes.attrs |= {"generation": generation, _CONTENTS: contents, **environment()}
+    nodes.attrs |= {"generation": generation, **environment()}
     document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
     files = {
         # In memory, since on a full disk HDF5 fails to close its file and ends the process.

@@ -184,11 +184,9 @@ class Draft:
         """Note that it was Ctrl-C that ended the chapter, where a library has made another exception of it."""
         self.stopped, self.failures = True, []
 
-    def save(self, folder: Path, contents: str = "") -> list[Path]:
-        """Write all results as netCDF and JSON files, unless files of the same `contents` are there; returns their
-        paths. An earlier page of other results is removed.
-        """
-        return list(reporting.save_study(folder, self.kept, contents))
+    def save(self, folder: Path) -> list[Path]:
+        """Write all results as netCDF and JSON files; returns their paths. An earlier page is removed."""
+        return list(reporting.save_study(folder, self.kept))
 
     def write(self, folder: Path) -> Path:
         """Write the page; returns its path."""
