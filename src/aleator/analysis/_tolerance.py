@@ -184,17 +184,18 @@ class ToleranceAnalysis(Drawn):
         error = f", ± {self.rejects_error:.2g} ppm" if self.rejects_error > _WORTH_SAYING * self.rejects else ""
         if (low < self.lower and not self.rejects_low) or (high > self.upper and not self.rejects_high):
             error += ": none was drawn, though the worst case is beyond a limit; al.references.monte_carlo draws more"
+        cp = f"Cp {self.cp:.3g}, " if np.isfinite(self.cp) else ""  # of two limits, and a spread
         squares = f"; root sum square ± {self.rss:.5g}" if np.isfinite(self.rss) else ""
         rows = [
             (self.output, f"nominal {self.nominal:.6g}, mean {self.mean:.6g}, 3σ {3 * self.std:.5g}"),
             ("shape", f"skewness {self.skewness:.3g}, kurtosis {self.kurtosis:.4g} (0 and 3 if normal)"),
-            ("limits", f"{self.lower:g} to {self.upper:g}: Cp {self.cp:.3g}, Cpk {self.cpk:.3g}"),
+            ("limits", f"{self.lower:g} to {self.upper:g}: {cp}Cpk {self.cpk:.3g}"),
             ("rejects", f"{self.rejects_low:.3g} ppm low, {self.rejects_high:.3g} ppm high{error}"),
             ("worst case", f"{low:.6g} to {high:.6g}{squares}"),
         ]
         largest = sorted(self.contributions.items(), key=lambda item: -item[1].share)
         for name, one in largest:
-            shares = f"{one.share:.3g} % of the variance{one.aside}, zone {one.zone}"
+            shares = f"{round(one.share, 6):.3g} % of the variance{one.aside}, zone {one.zone}"
             rows.append((name, f"{shares}, {one.slope}" if one.slope else shares))
         width = max(len(label) for label, _ in rows)
         return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)
