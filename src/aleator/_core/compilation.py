@@ -65,7 +65,7 @@ class Use(enum.Enum):
       the two may then differ in their last bit.
     """
 
-    LOOPS = _IN_ORDER | {"xla_cpu_prefer_vector_width": "512"}
+    LOOPS = _IN_ORDER
     ROWS = _IN_ORDER | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | _IN_FEW_PARTS | {"xla_backend_optimization_level": "1"}
     BRIEF = ROWS | _IN_FEW_PARTS | {"xla_backend_optimization_level": "0"}
