@@ -142,3 +142,16 @@ def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, f
     again = document(aleator(*arguments))["designs"]
     assert list(again) == ["robust"]
     assert not again["robust"]["solved_anew"]
+
+
+def test_results_of_a_study_that_is_edited_back_have_their_names_again(here: Path, finished: Path):
+    def names():
+        return {one["name"] for one in document(aleator("list", "results", "--json"))["results"]} - {""}
+
+    before = names()
+    assert {"designs/robust", "evidence/robust"} <= before
+    first = (here / "bar.py").read_text()
+    for text in (EDITED, first):
+        (here / "bar.py").write_text(text)
+        assert aleator("resume", "results").exit_code == 0
+    assert names() >= before

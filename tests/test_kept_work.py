@@ -54,6 +54,10 @@ def unreadable(count: int):
     return lambda: count
 
 
+def scaled(factor: float, number: float) -> float:
+    return factor * number
+
+
 @pytest.fixture
 def calls() -> list[str]:
     return []
@@ -85,6 +89,12 @@ def test_work_is_done_once_for_the_same_code_and_numbers_however_they_are_given(
             kept("widths", widths, 1.0, 4, progress=lambda *told: calls.append("again"))
     assert folder.missing == ["work widths is missing."]
     assert calls == ["widths"]
+
+
+def test_work_may_be_a_partial_function(tmp_path):
+    for _ in range(2):
+        with al.journal(tmp_path):
+            assert kept("doubled", functools.partial(scaled, 2.0), 3.0) == 6.0
 
 
 def test_code_that_changed_is_told_and_the_work_done_again(work, calls, monkeypatch):

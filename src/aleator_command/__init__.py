@@ -5,7 +5,7 @@ Finished results are written in every case. With `--json` one JSON document is p
 stderr. Numbers are finite or `null`. Every document has `command`, `exit_code` and `errors` (sentences); further:
 
 - `run`, `resume`, `sweep`: `folder`, `finished`, `files`, `title`, `verdict`, `designs`, `fronts`, `recalled` (results
-  of an earlier run);
+  of an earlier run); of one that had to end at once, `folder` alone;
 - `check`: `study`, `look_at`, and `problems` by name: `decisions`, `uncertain`, `instants`, `order`, `terms`, `points`,
   `condition_number`, `rows`, `derivatives_agree`, `seconds_to_compile`, `seconds_of_evaluation`, `samples`,
   `simulations`, `bytes_of_derivatives`, `numbers` (`unit`, and `value`, a text for a distribution or decision);

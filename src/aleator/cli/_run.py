@@ -57,6 +57,7 @@ class _Run:
 
         - `record`: the command that began it, which the folder notes.
         """
+        self._terminal.note(folder=str(self._folder))
         with self._interruptions:
             try:
                 study = made()
@@ -98,7 +99,6 @@ class _Run:
                 self._attempt(page, "saving", save)
             fronts = {place: one for place, one in by_place(page.kept).items() if isinstance(one, Front)}
             self._terminal.note(
-                folder=str(self._folder),
                 finished=page.finished,
                 files=[str(path) for path in self._paths],
                 title=page.study.title,

@@ -222,8 +222,11 @@ class Journal(AbstractJournal, Mapping[str, Any]):
                 self._miss(f"{error}{' It is computed again.' if self._writes else ''}")
             else:
                 self.taken |= {key} if is_earlier else set()
-                if known.state == STALE and self._writes:
-                    self.append(replace(known, state=_state_of(result), why=""))
+                # What a run of another form of the study took its name from has it again.
+                again = replace(known, name=known.name or called())
+                again = replace(again, state=_state_of(result), why="") if known.state == STALE else again
+                if again != known and self._writes:
+                    self.append(again)
                 return Place(result)
         if not self._writes:
             self._miss(f"{title} is missing.")

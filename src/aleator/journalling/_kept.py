@@ -53,5 +53,6 @@ def kept(
             raise ProblemError(f"kept: '{name}': expected a function that returns what is kept; it returned None.")
         return result
 
-    identity = {"function": function, "called": function.__qualname__, "version": str(version)}
+    called = getattr(function, "__qualname__", type(function).__qualname__)
+    identity = {"function": function, "called": called, "version": str(version)}
     return journalled(f"work {name}", identity | given, computed)

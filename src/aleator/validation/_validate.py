@@ -104,7 +104,9 @@ def validate(
     evidence = journalled("validate", given, sampled)
     if not evidence.agrees:
         warnings.warn(f"validate: {evidence.alarm()}", ExpansionWarning, stacklevel=2)
-    return evidence if evidence.solution is solution else replace(evidence, solution=solution)
+    # What a journal has read belongs to nobody else: a copy would be another result to it.
+    object.__setattr__(evidence, "solution", solution)
+    return evidence
 
 
 def validated_from(
