@@ -2,7 +2,8 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from types import SimpleNamespace
+from dataclasses import replace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -292,11 +293,19 @@ def designed(rows: Iterable[Row]) -> dict[str, str]:
     return {_IN_TABLES[one.kind].format(one.label): one.text for one in rows if one.kind in _IN_TABLES}
 
 
-def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
-    """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
+def designs_table(
+    solutions: Mapping[str, Solution],
+    evidence: Mapping[str, Evidence],
+    labels: Mapping[str, str] = MappingProxyType({}),
+) -> Table:
+    """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo.
+
+    `labels`: what rows are called, by what they are called otherwise, such as the name of a decision.
+    """
     documents = {name: solution_document(one, evidence.get(name)) for name, one in solutions.items()}
     note = "Shadow price: the decrease of the objective per unit by which the bound is relaxed."
-    return documents_table("Decisions, limits and violations", documents, note)
+    table = documents_table("Decisions, limits and violations", documents, note)
+    return replace(table, rows=[[labels.get(label, label), *cells] for label, *cells in table.rows])
 
 
 def violations_table(evidence: Mapping[str, Evidence]) -> Table:

@@ -93,6 +93,14 @@ def problems() -> dict[str, al.Problem]:
     }
 
 
+LABELS = {
+    **{"k_s.mean": "Spring, mean kₛ", "k_s.half_width": "Spring, half-width", "b_s.mean": "Damper, mean bₛ"},
+    **{"b_s.half_width": "Damper, half-width", "eta.half_width": "Damping ratio, half-width"},
+    "Objective": "Objective: ride; of aOpt the cost of spreads, $",
+    "bound of k_s.mean: shadow price of the bound": "spring's bound: shadow price",
+}
+
+
 def chapter(page: Draft, quick: bool) -> None:
     """Both chapters of the dissertation, and the margins to build with, which it leaves open."""
     samples, points = (4_000, 4) if quick else (100_000, 11)
@@ -112,7 +120,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("The three designs")
     designs = gathered(page, "designs", al.solve, page.study.problems)
     evidence = sampled(page, designs, samples)
-    page.add(reporting.designs_table(designs, evidence), printed=True)
+    page.add(reporting.designs_table(designs, evidence, LABELS), printed=True)
     told = (
         "Points are means, boxes extend one σ to each side. dOpt has no spread, and lies on the holding limit. The box "
         "of uOpt ends at the travel limit, so its mean had to move inward. aOpt has the largest box: its spreads grow "
@@ -232,7 +240,8 @@ def build(page: Draft) -> dict[str, al.results.Calibration]:
         page.keep("built_evidence", {name: built[name].evidence})
         page.keep("margins", {name: built[name]})
     counted = {name: one.evidence for name, one in built.items() if one.evidence}
-    page.add(reporting.designs_table({name: one.solution for name, one in built.items()}, counted), printed=True)
+    found = {name: one.solution for name, one in built.items()}
+    page.add(reporting.designs_table(found, counted, LABELS), printed=True)
     page.add(*(margin_drawing(one, "cars", f"The margin to build {name} with") for name, one in built.items()))
     return built
 
