@@ -120,3 +120,23 @@ def test_densities_and_traced_derivatives_are_those_of_the_closed_forms():
     exact = np.exp(-2.0)
     assert np.asarray(chance) == pytest.approx([2 * exact, -exact / 2, 0.0], rel=1e-2)
     assert np.asarray(beyond) == pytest.approx([2 * (1 + np.log(10)), 0.0, 20.0], rel=1e-2)
+
+
+class Pushed(al.System):
+    """A place that is zero at the start, whatever the gain."""
+
+    states = ("x",)
+    gain: al.Number = al.Uniform(1.0, half_width=0.2)
+
+    def rhs(self, t, z, push):
+        return (self.gain * push,)
+
+
+def test_a_quantile_along_a_path_may_begin_where_nothing_varies():
+    limit = al.path("x").at_most(1.0, probability=0.9)
+    push = al.Control(0.2, 0.0, 5.0)
+    problem = al.Problem(
+        Pushed(), grid=al.Grid(2.0, 20), inputs={"push": push}, minimize=-1 * al.terminal("x").mean, subject_to=[limit]
+    )
+    # The gain stays below 1.16 with probability 0.9.
+    assert al.solve(problem).objective == pytest.approx(-1 / 1.16, rel=1e-6)

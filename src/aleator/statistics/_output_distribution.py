@@ -33,8 +33,8 @@ EQUAL = 1e-14
 # Lines run along a variable too where the others state a larger error of a probability, and count if they differ from
 # these by no more than so many such errors.
 _DOUBTFUL, _COVERED = 1e-8, 2
-# Points are evaluated for so many entries at once.
-_TOGETHER = 64
+# Points are evaluated for so many entries at once, each at least so wide.
+_TOGETHER, _NO_WIDTH = 64, 1e-150
 # By how many standard deviations an entry may be apart from the one that decides to be taken by lines alone; more for a
 # tail further out, about which the mean and the spread say less (from Cornish and Fisher's second term).
 _NEAR, _NEARER = 0.1, 0.125
@@ -186,7 +186,8 @@ class TailByPoints(AbstractLowerTail):
         self._terms = np.asarray(cloud.terms)
         self.std = np.sqrt(np.sum(signed**2, axis=0))
         self._values = signed.T @ self._terms
-        self._width = np.maximum(cloud.width * self.std, np.finfo(float).tiny)
+        # What is certain has some width too, whose reciprocal may be multiplied by anything.
+        self._width = np.maximum(cloud.width * self.std, _NO_WIDTH)
 
     def _places(self, threshold: Float[np.ndarray, " entries"]) -> Float[np.ndarray, "entries points"]:
         return (threshold - self._values.T).T / self._width[:, None]
