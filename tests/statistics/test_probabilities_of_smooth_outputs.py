@@ -131,6 +131,9 @@ class Pushed(al.System):
     def rhs(self, t, z, push):
         return (self.gain * push,)
 
+    def outputs(self, t, z):
+        return {"x": z.x}
+
 
 def test_a_quantile_along_a_path_may_begin_where_nothing_varies():
     limit = al.path("x").at_most(1.0, probability=0.9)
