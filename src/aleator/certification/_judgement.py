@@ -224,10 +224,8 @@ def _untrusted(solution: Solution) -> str:
             error = quality.leave_one_out.get(text, 0.0)
             # If no points are left to check it by, the error is infinite, and fresh simulations decide.
             if not np.isinf(error):
-                said = (
-                    f"{text} by {error:.2g} of its standard deviation, where {one.text()} asks for {most:.2g} at most"
-                )
-                missed.append((np.inf if np.isnan(error) else error / most, said))
+                said = f"{text} by {error:.2g} of its standard deviation, where {one.text()} asks for"
+                missed.append((np.inf if np.isnan(error) else error / most, f"{said} {most:.2g} at most"))
     results = zip(problem.constraints, solution.constraints, strict=True)
     held = (limit.expression for limit, result in results if np.any(result.active))
     for text in (one.text() for one in expanded_functionals((problem.objective, *held))):
@@ -380,15 +378,15 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
     broken = first_broken(outputs, transcribed.problem.grid)
     numbers, x = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True)), jnp.asarray(decisions)
+    where = f"The decisions are {system_text(numbers)}."
     if broken is None:
         return (
             "Where the solver stopped, every simulation is finite, but the objective, a constraint or its derivative "
-            "is not: look for a root or logarithm of zero, or a division by zero. The decisions are "
-            f"{system_text(numbers)}."
+            f"is not: look for a root or logarithm of zero, or a division by zero. {where}"
         )
     name, point, instant = broken
     germ, count = jnp.asarray(transcribed.points[point]), len(transcribed.collocation.points)
-    uncertain, where = inputs_at(transcribed.places, germ, x), f"The decisions are {system_text(numbers)}."
+    uncertain = inputs_at(transcribed.places, germ, x)
     place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
     who = f"{place} ({system_text(uncertain)})" if uncertain else ""
     if reason := unsolved(transcribed.problem, germ, x):

@@ -315,6 +315,7 @@ def _as_number(leaf: Any) -> Any:
     """A placeholder number of the right shape for a distribution, a decision or a signal."""
     if isinstance(leaf, AbstractSignal):
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
+        # JAX looks a function up, which fails for a module with some fields.
         return np.ones(jax.eval_shape(lambda t: plain(t), jax.ShapeDtypeStruct((), float)).shape)
     return np.ones(leaf.shape) if is_leaf(leaf) else leaf
 

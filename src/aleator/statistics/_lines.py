@@ -6,8 +6,8 @@ lines is that of a smooth function (Griewank, Kuo, Leövey and Sloan, 2018, High
 jumps). Every germ variable is a function of a standard normal one, at equal probability. Lines run in the direction in
 which the output is smallest at a distance of some standard deviations, so that a single line gives the result for an
 output that is nearly linear in the tail. Across it, lines of two or three variables lie on a lattice, whose error falls
-exponentially for smooth outputs; where these err, others run along a variable (`KnownDistribution`). Others lie where a
-mixture of normal distributions puts them: the given one, two wider ones, and one around each of several such minima;
+exponentially for smooth outputs; where these err, others run along a variable (`DistributionByLines`). Others lie where
+a mixture of normal distributions puts them: the given one, two wider ones, and one around each of several such minima;
 the ratio of the densities is the weight of a line (importance sampling; Owen and Zhou, 2000, on mixtures that keep the
 given distribution).
 """
@@ -127,11 +127,7 @@ class Lines(Module):
 
     def terms(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "terms n"]:
         """The terms of the basis at points of the normal variables, which may have imaginary parts."""
-        flat, (first, *others) = self._polynomials(normal), np.asarray(self.factors)
-        product = flat[first]
-        for other in others:
-            product *= flat[other]
-        return product
+        return _products(self._polynomials(normal), np.asarray(self.factors))
 
     def values(
         self, coefficients: Float[np.ndarray, " terms"], normal: Float[np.ndarray, "variables n"]
@@ -142,11 +138,7 @@ class Lines(Module):
         single = np.bincount(factors[:, ~is_product].max(axis=0, initial=0), coefficients[~is_product], len(flat))
         value = single @ flat
         if is_product.any():
-            first, *others = factors[:, is_product]
-            product = flat[first]
-            for other in others:
-                product *= flat[other]
-            value += coefficients[is_product] @ product
+            value += coefficients[is_product] @ _products(flat, factors[:, is_product])
         return value
 
     def _polynomials(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "polynomials n"]:
@@ -243,6 +235,16 @@ def placed(
     parts = np.exp(logs - logs.max(axis=0, keepdims=True))
     weights = (parts[0] / np.sum(parts, axis=0)).reshape(replicates, count)
     return points, weights * (replicates / np.sum(weights))
+
+
+def _products(
+    flat: Float[np.ndarray, "polynomials n"], factors: Int[np.ndarray, "factors terms"]
+) -> Float[np.ndarray, "terms n"]:
+    """The products of some terms' factors."""
+    product = flat[factors[0]]
+    for others in factors[1:]:
+        product *= flat[others]
+    return product
 
 
 def unit(vectors: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:

@@ -338,7 +338,7 @@ def _by_numpy(coefficients: Any, *rest: Any, structures: Any, depth: int) -> lis
     own, others, by_lines_alone = structures
     batch, inner = coefficients.shape[:depth], coefficients.shape[depth:]
     numbers = [np.asarray(one).reshape(-1) for one in rest[: own.num_leaves]]
-    lines = jax.tree.unflatten(others, list(map(np.asarray, rest[own.num_leaves :])))
+    lines = jax.tree.unflatten(others, rest[own.num_leaves :])
     outputs = np.asarray(coefficients).reshape(-1, *inner)
 
     def each(i: int) -> Sloped:

@@ -41,7 +41,7 @@ class AbstractStatistic(Module):
     """Whether a bound on it also applies to a single system, whose value then takes its place: true for a mean or a
     quantile, false for a spread, which is zero for a single system."""
     needs_no_compiler: ClassVar[bool] = False
-    """Whether `of` compiles nothing for what is known: it computes by NumPy, or by programs that all outputs share."""
+    """Whether `of` compiles nothing for what is known: it computes by NumPy."""
 
     @property
     def preparation(self) -> Preparation | None:

@@ -3,8 +3,7 @@
 All use the expansion along lines through the space of normal variables (see `_lines`). In up to three variables they
 are exact to about 1e-8 for smooth outputs. In more, probabilities of one output between 1e-7 and one have relative
 errors of some percent, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
-their tail. Entries of a path use fewer lines, or points (see `_output_distribution`). Where coefficients are known, all
-of it is NumPy.
+their tail. Entries of a path use fewer lines, or points (see `_output_distribution`).
 """
 
 import abc

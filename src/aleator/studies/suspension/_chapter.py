@@ -112,8 +112,9 @@ def chapter(page: Draft, quick: bool) -> None:
         "in extension."
     )
     page.add(system(page, "suspension/car.svg", "Quarter car on its road", told, "6.1 and 6.3"))
-    times, heights = np.asarray(suspension.road().times), np.asarray(suspension.road().values)
-    figure = reporting.histories_figure(times, heights[None], y="Road height", unit="m")
+    road = suspension.road()
+    heights = np.asarray(road.values)[None]
+    figure = reporting.histories_figure(np.asarray(road.times), heights, y="Road height", unit="m")
     figure.update_layout(showlegend=False, height=300)
     page.add(Drawing([figure], "The road", "Four bumps of 0.15 m at 1, 5, 10 and 15 Hz, with noise on top.", "6.2"))
 
