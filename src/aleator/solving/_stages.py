@@ -20,7 +20,7 @@ from aleator.certification._grids import grid_error, misled_at
 from aleator.certification._judgement import Held, diagnose, solution_of
 from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
 from aleator.certification._worst_case import Oracle, worst_case_limits
-from aleator.design import Problem, destabilised, is_over_time
+from aleator.design import Problem, destabilised, in_quantiles, is_over_time
 from aleator.nlp import (
     HELD,
     AbstractSearch,
@@ -90,7 +90,7 @@ class Stages(NamedTuple):
         """
         # Transcribe.
         prepare = functools.partial(prepare_check, check_factor(problem, self.between))
-        transcribed = transcribe(problem, self.transcription, prepare)
+        transcribed = transcribe(in_quantiles(problem), self.transcription, prepare)
         point, outcome = None if start is None else transcribed.point(start), None
         if self.transcription.refines:
             transcribed, point, outcome = self._on_fine_mesh(transcribed, point)
