@@ -172,3 +172,24 @@ def test_a_search_that_is_not_finished_tells_its_gap(monkeypatch):
 def test_what_cannot_be_chosen_is_refused(declare, message):
     with pytest.raises(al.ProblemError, match=message):
         declare()
+
+
+class Valleys(al.AlgebraicSystem):
+    """A quartic with two valleys, of which that at `d = -1` is the deeper one."""
+
+    k: al.Number
+    d: al.Number
+
+    def outputs(self):
+        return {"height": (self.d - 3) ** 2 * (self.d + 1) ** 2 / 4 + 0.3 * self.d + self.k, "k": self.k}
+
+
+@pytest.mark.parametrize("start", [3.5, 1.0, -1.5])
+def test_no_choice_is_left_out_because_its_search_ends_in_another_valley(start):
+    model = Valleys(al.Choice([1.0, 2.0, 3.0, 4.0]), al.Decision(start, -6.0, 6.0))
+    limit = al.output("height").mean <= 3.0
+    solution = al.solve(al.Problem(model, minimize=-al.output("k").mean, subject_to=[limit]))
+    heights = np.polynomial.Polynomial.fromroots([3, 3, -1, -1]) / 4 + np.polynomial.Polynomial([0, 0.3])
+    lowest = min(heights(root.real) for root in heights.deriv().roots())
+    assert solution.decisions["k"] == max(k for k in (1.0, 2.0, 3.0, 4.0) if k + lowest <= 3.0)
+    assert branching_of(solution).is_finished

@@ -1,7 +1,7 @@
 """Limits on probabilities, which are 0 or 1 far from their bound, from any start, against closed forms."""
 
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 import aleator as al
 from zoo import algebraic
@@ -63,3 +63,52 @@ def test_a_limit_on_a_probability_that_nothing_meets_is_named():
     assert conflict.names == ("holds",)
     # The quantile's threshold would have to fall to what 6 bolts reach.
     assert conflict.limits[0].relaxed == pytest.approx(16 * (EXACT - 6), rel=1e-5)
+
+
+# The mean `d` of a normal number, with no more than a tenth of all systems beyond a limit.
+Y, Z = al.output("y"), al.output("z")
+BEYOND = Y.probability(above=2.0)
+NINE_TENTHS = stats.norm.ppf(0.9)
+
+
+@algebraic
+def shifted(d, x, spread):
+    return {"y": d + spread * x, "z": 2 * d - spread * x}
+
+
+def largest(limit, start, spread=1.0):
+    model = shifted(al.Decision(start, -100.0, 100.0), al.Normal(0.0, 1.0), spread)
+    return al.solve(al.Problem(model, minimize=-al.value("d"), subject_to=[limit]), throw=False)
+
+
+@pytest.mark.parametrize("start", [-60.0, 0.0, 60.0])
+@pytest.mark.parametrize(
+    ("limit", "exact"),
+    [
+        (BEYOND**2 <= 0.01, 2 - NINE_TENTHS),
+        (BEYOND.equals(0.1), 2 - NINE_TENTHS),
+        (al.expressions.maximum(BEYOND, Y.probability(below=-2.0)) <= 0.1, 2 - NINE_TENTHS),
+        (
+            BEYOND + Z.probability(above=3.0) <= 0.1,
+            optimize.brentq(lambda d: stats.norm.sf(2 - d) + stats.norm.sf(3 - 2 * d) - 0.1, -3, 3),
+        ),
+    ],
+    ids=["squared", "equal", "the larger of two", "summed"],
+)
+def test_probabilities_in_any_expression_are_limited_from_any_start(limit, exact, start):
+    assert float(largest(limit, start).decisions["d"]) == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("start", [-30.0, 0.0, 60.0])
+@pytest.mark.parametrize("spread", [0.05, 0.3])
+def test_a_probability_between_two_thresholds_is_limited_from_any_start(spread, start):
+    solution = largest(Y.probability(above=-1.5, below=1.5) >= 0.9, start, spread)
+    assert solution.ok
+    assert float(solution.decisions["d"]) == pytest.approx(1.5 - spread * NINE_TENTHS, rel=1e-6)
+
+
+@pytest.mark.parametrize("limit", [BEYOND <= 1.0, 1 - BEYOND >= 0.0, Y.probability(below=2.0) >= 0.0])
+def test_a_limit_that_each_probability_keeps_excludes_nothing(limit):
+    solution = largest(limit, 0.0)
+    assert float(solution.decisions["d"]) == pytest.approx(100.0)
+    assert solution.constraints[0].text == str(limit)

@@ -179,7 +179,7 @@ class Check:
         each = zip(self.problem.constraints, self.values[1:], self.transcribed.rows, strict=True)
         for i, (one, fine, rows) in enumerate(each):
             times = instants_of(one, self.problem.grid, lambda: self.times)
-            size = bound_size(one) or max(self.reach_of(one.expression), float(np.max(sizes[rows])))
+            size = bound_size(one) or self.reach_of(one.expression) or float(np.max(sizes[rows]))
             own, fine = self.at_instants(i).reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)
             limits.append(Limit(one, own, fine, self.factor, size, times))
         return tuple(limits)

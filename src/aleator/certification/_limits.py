@@ -33,27 +33,27 @@ def constraint_results(transcribed: AbstractTranscribed, outcome: Outcome) -> It
         values, multipliers, active = parts
         bounds, size = (float(one.lower), float(one.upper)), float(outcome.sizes[rows].max())
         result = ConstraintResult(one.name, str(one), *bounds, values, times, multipliers, active, size)
-        yield result if one.declared is None else _of_a_probability(transcribed, outcome.point, one.declared, result)
+        yield result if one.declared is None else _as_declared(transcribed, outcome.point, one.declared, result)
 
 
-def _of_a_probability(
+def _as_declared(
     transcribed: AbstractTranscribed,
     point: Float[np.ndarray, " variables"],
     limit: Constraint,
     result: ConstraintResult,
 ) -> ConstraintResult:
     """The result of a limit on a probability, from that of the limit on a quantile as which it was searched."""
-    one = limited_probability(limit)
+    one, bounds = limited_probability(limit), (float(limit.lower), float(limit.upper))
     assert one is not None
+    result = replace(result, text=str(limit), lower=bounds[0], upper=bounds[1])
+    if one.excludes_nothing:
+        return result
     chance, quantile = (_tail(transcribed, point, one.functional, kind) for kind in (one.kind, one.quantile))
     # The quantile moves by this much with its level: the density's reciprocal, zero where many systems are equal.
     by_level = float(quantile.by_numbers[0])
     size = result.scale / by_level if by_level > 0 else 0.0
     return replace(
         result,
-        text=str(limit),
-        lower=float(limit.lower),
-        upper=float(limit.upper),
         values=np.full(1, one.constant + one.factor * float(chance.values)),
         multipliers=-result.multipliers * by_level * one.level_by_bound,
         scale=max(bound_size(limit), abs(one.factor) * size),

@@ -61,6 +61,7 @@ from aleator.design._problem import with_simulation as with_simulation
 from aleator.design._quantile_limits import as_declared as as_declared
 from aleator.design._quantile_limits import in_quantiles as in_quantiles
 from aleator.design._quantile_limits import limited_probability as limited_probability
+from aleator.design._quantile_limits import widened as widened
 from aleator.design._residuals import SquaredResiduals as SquaredResiduals
 from aleator.design._residuals import residuals as residuals
 from aleator.design._response import Estimated as Estimated

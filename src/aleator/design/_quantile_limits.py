@@ -1,25 +1,26 @@
-"""Limits on probabilities as limits on quantiles, which say the same and are flat nowhere.
+"""Limits on probabilities for searches, to which these are flat: 0 or 1 away from a bound, whatever the decisions are.
 
-Away from its limit a probability is 0 or 1 whatever the decisions are, so that no search by derivatives finds its way.
-`P[x < v] ≤ p` if and only if `Q_p[x] ≥ v`.
+`P[x < v] ≤ p` if and only if `Q_p[x] ≥ v`, and a quantile is flat nowhere. Other expressions of probabilities are
+searched with spreads that are first much larger than they are.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from aleator._core.arrays import Scalar
 from aleator.design._expression import Constraint, Expression
 from aleator.design._problem import Problem
-from aleator.design._statistic import AbstractFunctional, Statistic
-from aleator.statistics import Probability, Quantile
+from aleator.design._statistic import AbstractFunctional, Statistic, statistics_in
+from aleator.statistics import Probability, Quantile, Widened
 
 
 class LimitedProbability(NamedTuple):
-    """A limit `constant + factor P ≤ bound`, or `≥`, where `P` is `P[x < threshold]`, or `P[x > threshold]`.
+    """A limit on `constant + factor P`, where `P` is `P[x < threshold]`, or `P[x > threshold]`.
 
-    - `chance`: what it bounds `P` by; `is_most`: whether from above.
+    - `chance`: what it bounds `P` by; `is_most`, `is_least`: from above, from below, or both if it is an equality.
     """
 
     functional: AbstractFunctional
@@ -30,6 +31,12 @@ class LimitedProbability(NamedTuple):
     constant: float
     chance: float
     is_most: bool
+    is_least: bool
+
+    @property
+    def excludes_nothing(self) -> bool:
+        """Whether each probability keeps it."""
+        return (not self.is_least and self.chance >= 1) or (not self.is_most and self.chance <= 0)
 
     @property
     def quantile(self) -> Quantile:
@@ -43,20 +50,21 @@ class LimitedProbability(NamedTuple):
 
 
 def limited_probability(limit: Constraint) -> LimitedProbability | None:
-    """The probability that a limit bounds; None if it bounds something else, two sides of one, or every instant."""
-    expression, ends = limit.expression, [end for end in (limit.lower, limit.upper) if np.isfinite(float(end))]
-    if len(expression.atoms) != 1 or len(ends) != 1 or expression.is_path:
+    """The probability that a limit bounds; None if it bounds something else, a range, or every instant."""
+    expression, ends = limit.expression, [float(end) for end in (limit.lower, limit.upper)]
+    (first, *others) = {end for end in ends if np.isfinite(end)}
+    if len(expression.atoms) != 1 or others or expression.is_path:
         return None
     (atom,), factor, constant = expression.atoms, float(expression.factors[0]), float(expression.constant)
     kind = atom.kind if isinstance(atom, Statistic) else None
     if not isinstance(atom, Statistic) or not isinstance(kind, Probability) or factor == 0:
         return None
     thresholds = [one for one in (kind.below, kind.above) if one is not None]
-    chance, is_most = (float(ends[0]) - constant) / factor, np.isfinite(float(limit.upper)) == (factor > 0)
-    if len(thresholds) != 1 or not 0 < chance < 1:
+    if len(thresholds) != 1:
         return None
-    functional, is_below = atom.functionals[0], kind.above is None
-    return LimitedProbability(functional, kind, thresholds[0], is_below, factor, constant, chance, bool(is_most))
+    sides = [bool(np.isfinite(end)) for end in (ends if factor < 0 else ends[::-1])]
+    parts = atom.functionals[0], kind, thresholds[0], kind.above is None, factor, constant
+    return LimitedProbability(*parts, (first - constant) / factor, *sides)
 
 
 def in_quantiles(problem: Problem) -> Problem:
@@ -79,6 +87,31 @@ def _in_quantile(limit: Constraint) -> Constraint:
     one = limited_probability(limit)
     if one is None:
         return limit
+    if one.excludes_nothing:  # out of reach of rounding
+        return limit.with_bounds(float(limit.lower) - abs(one.factor), float(limit.upper) + abs(one.factor)).instead_of(
+            limit
+        )
+    if not 0 < one.chance < 1:
+        return limit
     quantile = Expression((1.0,), (Statistic((one.functional,), one.quantile),))
-    is_least = one.is_below == one.is_most
-    return (quantile >= one.threshold if is_least else quantile <= one.threshold).instead_of(limit)
+    is_most, is_least = (one.is_least, one.is_most) if one.is_below else (one.is_most, one.is_least)
+    if is_most and is_least:
+        return quantile.equals(float(one.threshold)).instead_of(limit)
+    return (quantile <= one.threshold if is_most else quantile >= one.threshold).instead_of(limit)
+
+
+def widened(problem: Problem, factor: float) -> Problem | None:
+    """The same problem with spreads a factor as large wherever a probability is asked for; None if none is."""
+
+    def is_probability(node: Any) -> bool:
+        return isinstance(node, Statistic) and isinstance(node.kind, Probability)
+
+    def wide(node: Any) -> Any:
+        return Statistic(node.functionals, Widened(node.kind, factor)) if is_probability(node) else node
+
+    if not any(map(is_probability, statistics_in(problem.expressions))):
+        return None
+    parts = problem.objective, problem.constraints
+    return eqx.tree_at(
+        lambda one: (one.objective, one.constraints), problem, jax.tree.map(wide, parts, is_leaf=is_probability)
+    )

@@ -268,6 +268,7 @@ class Journal(AbstractJournal, Mapping[str, Any]):
                 file = _results.write(self.folder, begun.what, begun.key, result)
             except ProblemError as error:
                 self.warn(f"{begun.what} is not kept: {error}")
+                end(FAILED, f"done, but not kept: {error}")
                 return
             self._remember(result, begun.key)
             self._earlier.discard(begun.key)

@@ -21,8 +21,9 @@ from jaxtyping import Float, Int
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, in_quantiles, with_simulation
 from aleator.ensemble import listed
-from aleator.nlp import AbstractLocalSolver, AbstractSolver, Outcome, Status
+from aleator.nlp import AbstractLocalSolver, Outcome, Status
 from aleator.solution import Branching, Solution
+from aleator.solving._search import Search
 from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
 from aleator.uncertainty import tables_of, with_decisions
 
@@ -57,7 +58,8 @@ class Tree:
     """The nodes of one search.
 
     - `problem`: as it was declared; `transcribed`: as it is searched;
-    - `full`: the complete solution of a problem whose integers and choices have one value, from a start by name;
+    - `search`: that of each node; `full`: the complete solution of a problem whose integers and choices have one value,
+      from a start by name;
     - `nodes`: the outcomes of all nodes; `open`: nodes to look at; `tried`: rows that were solved in full;
     - `answer`: the best solution so far; `passed`: those that are none or were refused, though a node met the limits,
       with the optimum of their nodes and the rows.
@@ -65,7 +67,7 @@ class Tree:
 
     problem: Problem
     transcribed: AbstractTranscribed
-    solver: AbstractSolver
+    search: Search
     full: Full
     nodes: list[Outcome] = field(default_factory=list)
     open: list[Node] = field(default_factory=list)
@@ -85,8 +87,9 @@ class Tree:
         for table, rows in zip(self.tables, left, strict=True):
             where = self.transcribed.decided[table.where]
             lower[where], upper[where] = table.rows[rows].min(axis=0), table.rows[rows].max(axis=0)
-        program = replace(self.transcribed.program, lower=lower, upper=upper)
-        outcome = self.solver.solve(program, start=np.clip(start, lower, upper))
+        boxed = replace(self.transcribed, program=replace(self.transcribed.program, lower=lower, upper=upper))
+        start = np.clip(start, lower, upper)
+        outcome = self.search.led_on(boxed, start, self.search.run(boxed, start, None))
         self.nodes.append(outcome)
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
@@ -180,19 +183,20 @@ class Tree:
 def branched(
     problem: Problem,
     transcription: AbstractTranscription,
-    solver: AbstractSolver,
+    search: Search,
     first: Float[np.ndarray, " n"] | None,
     full: Full,
 ) -> Solution:
     """The solution with the best integers and rows of tables, and how it was found.
 
-    - `first`: the decisions to start from; `full`: see `Tree`.
+    - `first`: the decisions to start from; `search`, `full`: see `Tree`.
     """
     transcribed = transcribe(in_quantiles(problem), transcription)
     start = transcribed.program.start if first is None else transcribed.point(first)
-    if isinstance(solver, AbstractLocalSolver):
-        solver = replace(solver, max_iterations=min(solver.max_iterations, _ITERATIONS))
-    tree, interrupted = Tree(problem, transcribed, solver, full), False
+    if isinstance(search.solver, AbstractLocalSolver):
+        most = min(search.solver.max_iterations, _ITERATIONS)
+        search = search._replace(solver=replace(search.solver, max_iterations=most))
+    tree, interrupted = Tree(problem, transcribed, search, full), False
     is_listed = tree.combinations <= _LISTED
     try:
         for left in itertools.product(*tree.every) if is_listed else [tree.every]:
@@ -206,9 +210,13 @@ def branched(
         if tree.answer is None:
             raise
         interrupted = True
+    # A combination may have an answer though no node had: then the nodes say nothing of the others.
+    is_told = tree.answer is not None
     if tree.answer is None:
-        return _as_declared(_unsolved(tree), tree, None)
-    objective, lowest, in_words = tree.answer.objective, tree.bound, ""
+        tree.answer = _unsolved(tree)
+        if not tree.answer.ok:
+            return _as_declared(tree.answer, tree, None)
+    objective, lowest, in_words = tree.answer.objective, tree.bound if is_told else -np.inf, ""
     better = [one for one in tree.passed if -np.inf < one[0] < objective - _SAME * abs(objective)]
     if better:
         bound, rows, _ = min(better, key=itemgetter(0))
@@ -224,8 +232,8 @@ def branched(
         bound=min(lowest, objective),
         gap=max(0.0, objective - lowest),
         better=in_words,
-        is_finished=tree.is_over,
-        is_proven=is_listed and tree.is_over and alone and not tree.passed,
+        is_finished=tree.is_over and is_told,
+        is_proven=is_listed and tree.is_over and is_told and alone and not tree.passed,
     )
     answer = replace(tree.answer, status=Status.INTERRUPTED) if interrupted else tree.answer
     return _as_declared(answer, tree, branching)
@@ -239,6 +247,8 @@ def _unsolved(tree: Tree) -> Solution:
         return one
     point = min(tree.nodes, key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point
     solution = tree.decided(tree.nearest_rows(tree.every, point)[0], point)
+    if solution.ok:
+        return solution
     said = f"None of {tree.combinations} combinations of integers and choices was found to meet all limits"
     return replace(solution, message=f"{said}. {solution.message}".strip())
 

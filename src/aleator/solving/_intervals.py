@@ -32,7 +32,8 @@ from aleator.design import Peak, Problem, declared_anew, functionals_of, in_quan
 from aleator.ensemble import corners_of, spread_over
 from aleator.nlp import HELD, AbstractSearch, Evaluation, NonlinearProgram, Outcome, Status
 from aleator.solution import Solution, WorstCase, WorstRealisation
-from aleator.solving._stages import Stages, looked_around
+from aleator.solving._search import looked_around
+from aleator.solving._stages import Stages
 from aleator.transcription import AbstractTranscribed, Remembered, Sequential, transcribe
 from aleator.uncertainty import Decision, at_values, intervals_of, with_decisions
 
@@ -225,10 +226,10 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
         rounds += 1
         single = transcribed.program if margins is None else tightened(transcribed, margins)
         joint = replace(transcribed, program=game.program(single, scenarios))
-        again = stages.searched(joint, point, None, goes_on=outcome is not None)
+        again = stages.search.run(joint, point, None, goes_on=outcome is not None)
         if again.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        again = looked_around(joint, stages.solver.local, again, point) if outcome is None else again
+        again = looked_around(joint, stages.search.solver.local, again, point) if outcome is None else again
         outcome = again if outcome is None else again.with_effort_of(outcome)
         if outcome.status is not Status.SOLVED:
             break
@@ -265,7 +266,7 @@ def _begun(
 ) -> tuple[Game, Float[np.ndarray, " n"]]:
     """The game of a problem, and its variables at the start, the level there being that of the worst corner."""
     names = [*intervals_of(problem.placements)]
-    if not isinstance(stages.transcription, Sequential) or isinstance(stages.solver, AbstractSearch):
+    if not isinstance(stages.transcription, Sequential) or isinstance(stages.search.solver, AbstractSearch):
         raise ProblemError(
             f"solve: '{names[0]}' is an al.Interval, for whose worst values limits are added from round to round: "
             "expected transcription=al.Sequential() and a solver by derivatives, such as al.solvers.FilterSQP()."

@@ -21,6 +21,7 @@ from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving._integers import branched
 from aleator.solving._intervals import robust
+from aleator.solving._search import Search
 from aleator.solving._stages import Stages
 from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 from aleator.uncertainty import intervals_of, tables_of
@@ -177,7 +178,8 @@ def _solved(call: Call) -> Solution:
     def full(problem: Problem, start: Mapping[str, Any]) -> Solution:
         return _solved_at_once(call._replace(problem=problem, start=start))
 
-    return branched(call.problem, call.transcription, call.chosen_solver, _first(call, call.transcription), full)
+    search = Search(call.chosen_solver, call.executor, lambda: None)
+    return branched(call.problem, call.transcription, search, _first(call, call.transcription), full)
 
 
 def _first(call: Call, transcription: AbstractTranscription) -> np.ndarray | None:
@@ -200,8 +202,8 @@ def _solved_at_once(call: Call) -> Solution:
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure(), one_thread_of_blas():
-        settings = call.between, call.accuracy, call.executor
-        stages = Stages(transcription, call.chosen_solver, *settings, heed, keeps_grid=call.refine is False)
+        search = Search(call.chosen_solver, call.executor, heed)
+        stages = Stages(transcription, search, call.between, call.accuracy, keeps_grid=call.refine is False)
         at_means = None
         if call.deterministic_first and problem.placements.germs:
             stages, first, at_means = _from_means(stages, problem, first)

@@ -7,13 +7,11 @@ from the last one.
 
 import functools
 from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from aleator._core.errors import ProblemError
 from aleator.certification._between import cost_of_margins, excess_between, limits_beside, margins_for, tightened
 from aleator.certification._check import Check, begin_check
 from aleator.certification._grids import Start, grid_error, misled_at
@@ -21,41 +19,15 @@ from aleator.certification._judgement import Held, diagnose, solution_of
 from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
 from aleator.certification._worst_case import Oracle, worst_case_limits
 from aleator.design import Problem, destabilised, in_quantiles, is_over_time
-from aleator.nlp import (
-    HELD,
-    AbstractSearch,
-    AbstractSolver,
-    Ipopt,
-    NonlinearProgram,
-    Outcome,
-    Status,
-    default_solver,
-    least_excess,
-    restart_of,
-)
+from aleator.nlp import HELD, Outcome, Status
 from aleator.solution import TOLERATED, Solution, WorstCase
-from aleator.transcription import (
-    AbstractTranscribed,
-    AbstractTranscription,
-    blind_decisions,
-    divided,
-    refuse_blind,
-    rows_by_name,
-    transcribe,
-    valued_by,
-)
+from aleator.solving._search import UNSOLVED, Search, looked_around
+from aleator.transcription import AbstractTranscribed, AbstractTranscription, divided, transcribe
 
-UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
-"""Ends of a search that a grid which is far off may have led astray."""
-
-# How often at most: an answer is left for a better one, limits are held between the instants, scenarios are added.
-_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
+# How often at most limits are held between the instants, and scenarios are added.
+_MOST_TIGHTENINGS, _MOST_SCENARIOS = 12, 20
 # Iterations from an answer to a close one with peaks limited.
 _MOST_STEPS = 20
-# Iterations to a design that meets the limits, or to the least excess, however few the search itself was allowed.
-_MOST_TO_LIMITS = 200
-# As many decisions or more are searched by interior points where active sets change too slowly.
-_MANY = 30
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
 _ROUGH = 1e-4
@@ -64,16 +36,13 @@ _ROUGH = 1e-4
 class Stages(NamedTuple):
     """The stages of a solution, the same on each grid: `between` and `accuracy` as in `solve`.
 
-    `heed`: raises if the user interrupts; `executor`: simulates the generations of searches; `keeps_grid`: whether no
-    answer on a finer grid follows.
+    `keeps_grid`: whether no answer on a finer grid follows.
     """
 
     transcription: AbstractTranscription
-    solver: AbstractSolver
+    search: Search
     between: int | None
     accuracy: float
-    executor: Executor | None
-    heed: Callable[[], None]
     keeps_grid: bool
 
     def answer(
@@ -103,10 +72,10 @@ class Stages(NamedTuple):
         is_unknown = multipliers is None and not self.transcription.is_guessed
         asks_start = is_unknown and factor > 1 and problem.is_integrated
         start_of_search = Start.of(transcribed, first) if asks_start else None
-        outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
+        outcome = searched = self.search.run(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
-            outcome = looked_around(transcribed, self.solver.local, outcome, first)
-        outcome = self._with_limits_met(transcribed, self._from_inside(transcribed, outcome))
+            outcome = looked_around(transcribed, self.search.solver.local, outcome, first)
+        outcome = self.search.led_on(transcribed, first, outcome)
         # The mesh is fine enough for what was searched, not for an answer elsewhere.
         is_elsewhere = outcome.status is Status.SOLVED and outcome.point is not searched.point
         if self.transcription.refines and oracle is None and is_elsewhere:
@@ -141,74 +110,6 @@ class Stages(NamedTuple):
             solution, held = stages.answer(finer, solution.vector, solution.multipliers, certificate.worst_case)
         return solution, held
 
-    def searched(
-        self,
-        transcribed: AbstractTranscribed,
-        start: np.ndarray | None,
-        multipliers: np.ndarray | None,
-        program: NonlinearProgram | None = None,
-        *,
-        goes_on: bool = False,
-    ) -> Outcome:
-        """One search: of a transcribed program, or of another in its place. One that goes on stays near its start."""
-        self.heed()
-        solver, program = self.solver.local if goes_on else self.solver, program or transcribed.program
-        # Multipliers at the instants of another grid say nothing here.
-        fits = multipliers is not None and multipliers.shape == program.constraint_lower.shape
-        executor = self.executor if isinstance(solver, AbstractSearch) else None
-        program = valued_by(executor, program, "solve")
-        return solver.solve(program, start=start, multipliers=multipliers if fits else None)
-
-    def _from_inside(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
-        """An outcome that meets all limits, but is no optimum: active sets of many decisions, such as controls that
-        jump between their bounds, may change so slowly that the solver nobody chose goes on by interior points.
-        """
-        is_slow = outcome.status in UNSOLVED and outcome.violation <= HELD and not outcome.strayed
-        if not is_slow or outcome.point.size < _MANY or self.solver != default_solver():
-            return outcome
-        further = self._replace(solver=Ipopt(self.solver.tolerance)).searched(transcribed, outcome.point, None)
-        ends = further.status in (Status.SOLVED, Status.INTERRUPTED)
-        return further.with_effort_of(outcome) if ends else outcome.with_effort_of(further)
-
-    def _with_limits_met(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
-        """An outcome whose search ended where limits do not hold: goes on from a design at which they do.
-
-        That is one of least excess whatever the objective, states being simulated. If no step lowers the excess there,
-        limits contradict one another, which no further iteration would mend. Where a program with states as variables
-        has shown that already, nothing is compiled to ask again.
-        """
-        is_asked = outcome.status in UNSOLVED and not outcome.strayed and outcome.violation > HELD
-        is_shown = outcome.status is Status.INFEASIBLE and transcribed.states_at(outcome.point) is not None
-        if not is_asked or is_shown:
-            return outcome
-        try:
-            simulated = transcribe(transcribed.problem)
-        except ProblemError:  # Histories on a fine mesh may not fit into memory.
-            return outcome
-        if transcribed.scenarios is not None:
-            simulated = simulated.at_scenarios(transcribed.scenarios)
-        solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), rows_by_name(simulated)
-        start = [simulated.program.start]
-        least = least_excess(solver, simulated.program, groups, (), range(len(groups)), start)
-        if least.total <= HELD:
-            start = transcribed.point(simulated.decisions(least.point))
-            further = self.searched(transcribed, start, None, goes_on=True)
-            if further.violation <= HELD:
-                return further.with_effort_of(outcome)
-            missed = "A design meets all limits, but the search leaves it: give start=al.conflict(problem).nearest"
-            return replace(outcome, status=Status.FAILED, message=missed).with_effort_of(further)
-        if not least.is_shown:
-            return outcome
-        problem = simulated.problem
-        limits = (problem.named(name) for name, rows in zip(problem.names, least.pushing, strict=True) if len(rows))
-        pushing = (own[0].name + (f" ({'; '.join(map(str, own))})" if len(own) > 1 else "") for own in limits)
-        said = f" (the solver said: {outcome.visited.end})" if outcome.visited else ""
-        message = (
-            f"Relax a limit: no design was found that meets all of these, whatever it costs: {', '.join(pushing)}; "
-            "al.conflict names the fewest, and by how much each would have to be relaxed"
-        )
-        return replace(outcome, status=Status.INFEASIBLE, message=message + said)
-
     def _on_fine_mesh(
         self, transcribed: AbstractTranscribed, start: np.ndarray | None
     ) -> tuple[AbstractTranscribed, np.ndarray | None, Outcome]:
@@ -216,10 +117,10 @@ class Stages(NamedTuple):
 
         Meshes are chosen by rough answers, since the last digits of one are those of its mesh alone.
         """
-        rough = replace(self.solver, tolerance=max(self.solver.tolerance, _ROUGH))
-        stages, multipliers = self._replace(solver=rough), None
+        exact, multipliers = self.search, None
+        search = exact._replace(solver=replace(exact.solver, tolerance=max(exact.solver.tolerance, _ROUGH)))
         while True:
-            outcome, finer = stages.searched(transcribed, start, multipliers), None
+            outcome, finer = search.run(transcribed, start, multipliers), None
             if outcome.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if outcome.status is Status.SOLVED:
@@ -227,10 +128,10 @@ class Stages(NamedTuple):
                 finer = transcribed.refined(start)
             if finer is not None:
                 (transcribed, start), multipliers = finer, None
-            elif stages.solver == self.solver:
+            elif search.solver == exact.solver:
                 return transcribed, start, outcome
             else:
-                stages = self
+                search = exact
 
     def judges_between(self, problem: Problem) -> bool:
         """Whether limits are to hold between the instants too."""
@@ -255,7 +156,7 @@ class Stages(NamedTuple):
 
         An outcome that is not solved is returned unchanged.
         """
-        self.heed()
+        self.search.heed()
         transcribed = held.transcribed
         if held.outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
             return held
@@ -268,9 +169,10 @@ class Stages(NamedTuple):
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
             margins = margins_for(margins, shifts, relax=at_peaks or len(tried) <= _MOST_TIGHTENINGS // 2)
             at_peaks = at_peaks and limits_beside(margins)
-            local = replace(self.solver.local, max_iterations=_MOST_STEPS) if at_peaks else self.solver.local
+            local = self.search.solver.local
+            local = replace(local, max_iterations=_MOST_STEPS) if at_peaks else local
             program, begun = tightened(transcribed, margins), last.outcome
-            again = self._replace(solver=local).searched(transcribed, begun.point, begun.multipliers, program)
+            again = self.search._replace(solver=local).run(transcribed, begun.point, begun.multipliers, program)
             tried.append(again)
             if again.status is Status.INTERRUPTED:
                 return last._replace(outcome=again)
@@ -299,7 +201,7 @@ class Stages(NamedTuple):
                 break
             transcribed, is_found = oracle.imposed(transcribed, before, new), True
             start = transcribed.point(transcribed.decisions(before.point))
-            again = self.searched(transcribed, start, before.multipliers, goes_on=True)
+            again = self.search.run(transcribed, start, before.multipliers, goes_on=True)
             held = self._held_between(Held(transcribed, again), factor)
             held = held._replace(outcome=held.outcome.with_effort_of(before))
             rounds += 1
@@ -325,30 +227,3 @@ class Stages(NamedTuple):
         if held.check is not None and factor > 1:
             error = grid_error(held.check, self.accuracy)
         return held._replace(outcome=outcome, error=error, misled=misled)
-
-
-def looked_around(
-    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, begun: np.ndarray
-) -> Outcome:
-    """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
-    program, found = transcribed.program, outcome
-    for _ in range(_MOST_RESTARTS):
-        restart = restart_of(program, outcome, begun)
-        outcome = replace(outcome, idle=restart.idle, blind=restart.blind)
-        if restart.start is None:
-            break
-        further = solver.solve(restart.program, start=restart.start)
-        if not restart.is_better(outcome, further):
-            outcome = outcome.with_effort_of(further)
-            break
-        # Led away from a saddle, all of its variables may have ended on another one.
-        outcome, begun = further.with_effort_of(outcome), further.point
-    if outcome.searched is None:
-        refuse_blind(outcome, transcribed)
-        return outcome
-    if outcome.status is Status.INTERRUPTED:
-        return replace(found, status=Status.INTERRUPTED)
-    # A search has compared values, so that it has chosen, though derivatives cannot confirm it.
-    names = blind_decisions(outcome, transcribed)
-    end = f"{outcome.searched.end}; its values alone chose {names}, by which its derivatives are zero"
-    return replace(outcome, searched=replace(outcome.searched, end=end)) if names else outcome

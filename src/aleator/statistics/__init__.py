@@ -30,6 +30,7 @@ from aleator.statistics._tails import AbstractTail as AbstractTail
 from aleator.statistics._tails import ConditionalValueAtRisk as ConditionalValueAtRisk
 from aleator.statistics._tails import Probability as Probability
 from aleator.statistics._tails import Quantile as Quantile
+from aleator.statistics._tails import Widened as Widened
 from aleator.statistics._tails import cdf as cdf
 from aleator.statistics._tails import pdf as pdf
 from aleator.statistics._units import EXPONENTS as EXPONENTS

@@ -228,6 +228,35 @@ class Probability(AbstractTail):
         return f"P[{_brief(self.above)} < {inside} < {_brief(self.below)}]"
 
 
+@final
+class Widened(AbstractStatistic):
+    """A probability of an output that is a factor as far from its mean in each system."""
+
+    kind: Probability
+    factor: Scalar
+
+    dimensionless: ClassVar[bool] = True
+
+    @property
+    @override
+    def preparation(self) -> Callable[..., AnyLines]:
+        return self.kind.preparation
+
+    @override
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: AnyLines) -> Float[Array, "*shape"]:
+        mean, rest = coefficients[:1], coefficients[1:]
+        return self.kind.of(jnp.concatenate([mean, self.factor * rest]), constants)
+
+    @override
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        mean = values.mean(axis=0)
+        return self.kind.of_sample(mean + self.factor * (values - mean))
+
+    @override
+    def text(self, inside: str) -> str:
+        return f"{self.kind.text(inside)} with {_brief(self.factor)} times the spread"
+
+
 def _brief(threshold: Scalar | None) -> str:
     return f"{np.asarray(threshold):g}"
 

@@ -64,7 +64,8 @@ class TradeOff(Drawn):
         if count == 1 and not self.interrupted:
             said = "the wishes do not conflict: one design, solved, is best for all of them"
         elif count < self.asked:
-            said += f"; {self.asked} were asked for: others were dominated ({self.dominated}) or found again"
+            others = "" if self.interrupted else f": others were dominated ({self.dominated}) or found again"
+            said += f"; {self.asked} were asked for{others}"
         holes = [f"no design was found between {self.names[0]} = {a:.6g} and {b:.6g}" for a, b in self.holes]
         return table(rows, said, *holes, *(f"no design: {one}" for one in self.failed), interrupted=self.interrupted)
 
