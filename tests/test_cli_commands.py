@@ -124,6 +124,14 @@ def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, no
     assert document(aleator(*arguments))["designs"] == designs
 
 
+@pytest.mark.filterwarnings("ignore::aleator.JournalWarning")
+def test_a_design_that_the_folder_has_lost_is_solved_beside_the_others(here: Path, finished: Path):
+    lost = next(one for one in al.load("results").entries if one.name == "designs/robust")
+    (here / "results" / lost.file).unlink()
+    designs = document(aleator("validate", "results", "--samples", "200", "--json"))["designs"]
+    assert {name: one["solved_anew"] for name, one in designs.items()} == {"nominal": False, "robust": True}
+
+
 def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, finished: Path, interrupted_at):
     arguments = ("validate", "results", "--samples", "200", "--json")
     assert not document(aleator("list", "results", "--json"))["stale"]

@@ -37,6 +37,13 @@ def test_a_jump_that_order_10_does_not_follow_is_followed_by_elements():
         assert float(pieces({"w": w})) == pytest.approx(float(jump({"w": w})), abs=1e-3)
 
 
+def test_a_jump_far_out_beside_a_straight_variable_is_divided_where_it_is():
+    model = {"x": al.Normal(1.0, 0.2), "z": al.Uniform.bounds(1.0, 2.0)}
+    pieces = al.expand(lambda m: jnp.where(m["x"] > 1.3, 1.0, 0.0) + m["z"], model, al.MultiElement(order=3))
+    assert float(pieces.mean) == pytest.approx(1.5 + stats.norm.sf(1.5), abs=1e-5)
+    assert pieces.error <= 1e-3
+
+
 def test_elements_are_split_across_the_variable_that_needs_it():
     model = {"kinked": al.Uniform.bounds(0.0, 1.0), "smooth": al.Normal(0.0, 1.0)}
     pieces = al.expand(

@@ -239,8 +239,8 @@ class _Texts:
             raise DoubtError(f"{_name_of(it)} is not written in Python")
 
     def _attributes(self, it: type) -> Iterator[str]:
-        """What a class defines, and its bases."""
-        yield from self(it.__bases__)
+        """What a class defines, its bases, and its own class."""
+        yield from self((type(it), it.__bases__))
         for name, value in vars(it).items():
             function = getattr(value, "fget", None) or getattr(value, "__func__", value)
             if isinstance(function, types.FunctionType):

@@ -4,6 +4,7 @@ likewise what an answer owes to widths of `al.smooth`.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -158,9 +159,22 @@ def at_half_width(check: Check) -> Smoothing | None:
     return Smoothing(float(check.values[0]), float(again.values[0]), moved, tuple(broken))
 
 
+class Start(NamedTuple):
+    """Where a search began, and the largest root mean square of each functional there."""
+
+    point: Float[np.ndarray, " variables"]
+    magnitudes: list[float]
+
+    @classmethod
+    @quietly
+    def of(cls, transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Self:
+        samples = map(np.asarray, transcribed.at(point).samples)
+        return cls(point, [float(np.sqrt(np.max(np.mean(one**2, axis=0)))) for one in samples])
+
+
 def misled_at(
     transcribed: AbstractTranscribed,
-    start: Float[np.ndarray, " variables"],
+    start: Start,
     end: Float[np.ndarray, " variables"] | None,
     factor: int,
 ) -> str:
@@ -170,12 +184,11 @@ def misled_at(
     where the grid appears exact. So the start is checked where some functional is far larger there than at the `end`,
     or the search has failed (None).
     """
-    steps, begun = transcribed.problem.grid.steps, _magnitudes_at(transcribed, start)
-    ended = [] if end is None else _magnitudes_at(transcribed, end)
-    if ended and all(own <= _FAR_OFF * later for own, later in zip(begun, ended, strict=True)):
+    steps, ended = transcribed.problem.grid.steps, [] if end is None else Start.of(transcribed, end).magnitudes
+    if ended and all(own <= _FAR_OFF * later for own, later in zip(start.magnitudes, ended, strict=True)):
         return ""
-    check = begin_check(transcribed, start, factor)()
-    for own, (one, finer) in zip(begun, check.functionals.items(), strict=True):
+    check = begin_check(transcribed, start.point, factor)()
+    for own, (one, finer) in zip(start.magnitudes, check.functionals.items(), strict=True):
         true = float(np.sqrt(np.max(finer.mean**2 + finer.std**2)))
         if not (own <= _FAR_OFF * true or own <= finer.rounding):
             return (
@@ -183,12 +196,6 @@ def misled_at(
                 "the search may have avoided good designs. Use more steps"
             )
     return ""
-
-
-@quietly
-def _magnitudes_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> list[float]:
-    """The largest root mean square of each functional."""
-    return [float(np.sqrt(np.max(one.mean**2 + one.std**2))) for one in transcribed.resolve(point).values()]
 
 
 def refinement(solutions: Sequence[Solution], *, between: bool) -> Problem | None:

@@ -14,17 +14,18 @@ from aleator import _core
 from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWarning, GridWarning
 from aleator.certification._check import Check
 from aleator.certification._grids import at_half_width
+from aleator.certification._limits import constraint_results, statistics_at
 from aleator.certification._moving_jumps import unfollowed_jumps
 from aleator.certification._second_opinion import second_opinion
 from aleator.design import (
     Constraint,
     Problem,
+    as_declared,
     behind_end,
     expanded_functionals,
     first_broken,
     instants_at,
     may_lose_derivatives,
-    path_of,
     statistics_in,
     unsolved,
 )
@@ -34,7 +35,6 @@ from aleator.nlp import HELD, Outcome, Status, missed_slope
 from aleator.solution import (
     Between,
     Certificate,
-    ConstraintResult,
     Effort,
     ExpansionQuality,
     GridError,
@@ -46,7 +46,7 @@ from aleator.solution import (
     system_text,
 )
 from aleator.statistics import Covariance, Mean, Std, Variance
-from aleator.transcription import NOISE, OF_ROUNDING, AbstractTranscribed, as_read, bound_size, excess_of
+from aleator.transcription import NOISE, OF_ROUNDING, AbstractTranscribed, bound_size, excess_of
 from aleator.uncertainty import correlations_at
 
 # The relative error of an expansion that is tolerated for moments and derivatives.
@@ -93,15 +93,15 @@ def solution_of(held: Held) -> Solution:
     objection = Objection("a realisation does not end at the first event", f"solved, but {crossed}")
     resolved = transcribed.resolve(point).items()
     return Solution(
-        problem=problem,
+        problem=as_declared(problem),
         status=outcome.status,
         message=outcome.message,
         decisions=_plain(places.named(meaning.decisions)),
         vector=meaning.decisions,
         objective=meaning.objective,
-        constraints=tuple(_constraint_results(transcribed, outcome)),
+        constraints=tuple(constraint_results(transcribed, outcome)),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved},
-        statistics=transcribed.statistics(point),
+        statistics=statistics_at(transcribed, point),
         at_bounds=tuple(np.array(names)[outcome.active_bounds[decided]].tolist()),
         idle=tuple(entries[i] for i in outcome.idle if i in entries),
         multipliers=outcome.multipliers,
@@ -136,18 +136,6 @@ def solution_of(held: Held) -> Solution:
 
 def _plain(named: dict[str, Any]) -> dict[str, Any]:
     return {name: float(value) if np.ndim(value) == 0 else value for name, value in named.items()}
-
-
-def _constraint_results(transcribed: AbstractTranscribed, outcome: Outcome) -> Iterator[ConstraintResult]:
-    each = transcribed.problem.constraints, transcribed.rows, transcribed.at(outcome.point).constraints
-    for one, rows, own in zip(*each, strict=True):
-        times = transcribed.times_limited(outcome.point, path_of(one)) if one.is_path else None
-        parts = as_read(one, transcribed.scenarios, own, outcome.multipliers[rows], outcome.active[rows])
-        if times is not None:  # rows by instant, if there are several at each
-            parts = (part if len(part) == len(times) else part.reshape(len(times), -1) for part in parts)
-        values, multipliers, active = parts
-        bounds, size = (float(one.lower), float(one.upper)), float(outcome.sizes[rows].max())
-        yield ConstraintResult(one.name, str(one), *bounds, values, times, multipliers, active, size)
 
 
 def _quality_of(

@@ -281,7 +281,8 @@ class Simulations:
         for first in range(0, len(germ), size):
             points = fill(germ[first : first + size], size)
             waiting.append(self._begin(points, self._predicted(points) if self.departed else None))
-        runs = [wait()[0] for wait in waiting]
+        # Other threads begin with the first ones, this one with the last.
+        runs = [wait()[0] for wait in reversed(waiting)][::-1]
         return {one: np.concatenate([run[one] for run in runs])[: len(germ)] for one in runs[0]}
 
     def _begin(self, points: Any, courses: Any) -> Callable[[], tuple[Values, Nodes]]:

@@ -18,7 +18,7 @@ from typing_extensions import override
 from aleator._core.arrays import jax_array
 from aleator.certification._check import ROUNDING, Check
 from aleator.certification._systems import FreshSystems
-from aleator.design import AbstractScopeOfInstants, Expression, Statistic, statistics_in
+from aleator.design import LEAST_CHANCE, AbstractScopeOfInstants, Expression, Statistic, statistics_in
 from aleator.statistics import (
     AbstractStatistic,
     AbstractTail,
@@ -68,7 +68,7 @@ class _Tail(NamedTuple):
     def tolerated(self, seen: _Seen) -> float:
         """How wrong the statistic may be."""
         if isinstance(self.kind, Probability):
-            return _OF_A_CHANCE * self.chance
+            return _OF_A_CHANCE * max(self.chance, LEAST_CHANCE)
         of_chance = _OF_A_CHANCE * self.chance / self.density(seen) if isinstance(self.kind, Quantile) else np.inf
         return min(_TOLERATED * self.reach, of_chance)
 

@@ -92,7 +92,7 @@ def _selected(study: AbstractStudy | None, results: Journal, design: str | None)
     designs: dict[str, Solution | Problem] = {
         name.rpartition("/")[2]: one for name, one in solved.items() if "/" in name
     } or {name: one for name, one in solved.items() if study is None or not name.startswith("solve ")}
-    if study is not None and (not designs or (design is not None and design not in designs)):
+    if study is not None:
         designs = {**problems_of(study), **designs}
     if not designs:
         raise ProblemError(f"validate: there is no finished design in '{results.folder}' that can be read.")

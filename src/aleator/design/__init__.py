@@ -1,5 +1,6 @@
 """The declared problem: functionals of outputs, statistics of them, bounds, cost curves."""
 
+from aleator.design._check import LEAST_CHANCE as LEAST_CHANCE
 from aleator.design._check import destabilised as destabilised
 from aleator.design._control import Control as Control
 from aleator.design._equations import may_lose_derivatives as may_lose_derivatives
@@ -57,6 +58,9 @@ from aleator.design._problem import frozen as frozen
 from aleator.design._problem import has_random_signals as has_random_signals
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._problem import with_simulation as with_simulation
+from aleator.design._quantile_limits import as_declared as as_declared
+from aleator.design._quantile_limits import in_quantiles as in_quantiles
+from aleator.design._quantile_limits import limited_probability as limited_probability
 from aleator.design._residuals import SquaredResiduals as SquaredResiduals
 from aleator.design._residuals import residuals as residuals
 from aleator.design._response import Estimated as Estimated

@@ -59,8 +59,8 @@ from aleator.uncertainty import (
 
 # Quantile at which unbounded variables are tried, on either side: one realisation in a billion lies beyond.
 _TAIL = 1e-9
-# Smaller probabilities are lost in the error with which they are computed.
-_SURE = 1e-9
+LEAST_CHANCE = 1e-9
+"""Smaller probabilities are lost in the error with which they are computed."""
 # Part of the names of decided gains; the most corners of their bounds at which they are tried, and points inside; how
 # far one without a bound is tried, in the largest gain.
 _GAINS, _CORNERS, _INSIDE, _FAR = ".feedback.gains.", 16, 8, 10.0
@@ -201,9 +201,10 @@ def _check_probabilities(problem: AbstractProblem) -> None:
             continue
         for bound in ((float(end) - constant) / float(factors[0]) for end in (one.lower, one.upper)):
             # That of 1 - P has the rounding of 1.
-            is_between = min(bound, 1 - bound) > _SURE - np.finfo(float).eps
+            is_between = min(bound, 1 - bound) > LEAST_CHANCE - np.finfo(float).eps
             if np.isfinite(bound) and bound not in (0, 1) and not is_between:
-                raise refusal(f"Bound of '{one}'", f"a probability, 0, 1 or from {_SURE} to 1 - {_SURE}", bound)
+                expected = f"a probability, 0, 1 or from {LEAST_CHANCE} to 1 - {LEAST_CHANCE}"
+                raise refusal(f"Bound of '{one}'", expected, bound)
 
 
 def _check_values(problem: AbstractProblem) -> None:

@@ -208,7 +208,8 @@ class Constraint(Module):
     """`lower <= expression <= upper`, at every instant if the expression contains a `path`.
 
     Constraints with the same `name` belong together: a sweep moves their bounds together, and evidence counts a system
-    that violates any of them once. The bounds are data: changing them causes no recompilation.
+    that violates any of them once. The bounds are data: changing them causes no recompilation. `declared`: the limit
+    that it stands for in a search, None for itself.
 
     Raises `ProblemError` for bounds in the wrong order or NaN.
     """
@@ -218,6 +219,7 @@ class Constraint(Module):
     upper: Scalar
     name: str = eqx.field(static=True)
     has_own_name: bool = eqx.field(static=True)
+    declared: "Constraint | None" = None
 
     def __init__(
         self,
@@ -250,6 +252,12 @@ class Constraint(Module):
     def named(self, name: str) -> "Constraint":
         """The same constraint with another name."""
         return Constraint(self.expression, lower=self.lower, upper=self.upper, name=a_name("Constraint: name", name))
+
+    def instead_of(self, declared: "Constraint") -> "Constraint":
+        """The same constraint, which stands for another one in a search, under the name of that."""
+        own = self.named(declared.name)
+        object.__setattr__(own, "declared", declared)
+        return own
 
     def with_bounds(self, lower: float, upper: float) -> Self:
         """The same constraint with other bounds. Raises `ProblemError` if they are in the wrong order."""

@@ -25,6 +25,9 @@ from aleator.uncertainty import AbstractGerm
 # Fresh points at a time for checking elements with small errors: their own samples cannot show a jump or a spike
 # between them.
 _FRESH_POINTS = 1024
+# Halving along a jump leaves all of the squared error, halving across it half; what did not lower it counts for so much
+# less in the next choice.
+_IN_VAIN, _DAMPED = 0.9, 0.1
 
 
 @final
@@ -91,7 +94,8 @@ class Element:
 
     - `coefficients`: of each output, shape (terms, *shape);
     - `known`: the same as plain numbers, a list with shapes (terms, entries);
-    - `squared_errors`: mean squared leave-one-out error of each output, summed over its entries.
+    - `squared_errors`: mean squared leave-one-out error of each output, summed over its entries;
+    - `in_vain`: the variable whose halving made this element, without lowering an error; None where it did.
     """
 
     cell: Cell
@@ -100,6 +104,7 @@ class Element:
     coefficients: Pytree
     known: list[Float[np.ndarray, "terms entries"]]
     squared_errors: Float[np.ndarray, " outputs"]
+    in_vain: int | None = None
 
     def prediction(self, points: Float[np.ndarray, "n variables"]) -> list[Float[np.ndarray, "n entries"]]:
         """Each output at germ points of the cell."""
@@ -190,6 +195,9 @@ class Refinement:
         across = _direction(worst)
         for half in worst.cell.halves(across):
             self._add(half)
+        before, after = worst.squared_errors, np.mean([one.squared_errors for one in self.elements[-2:]], axis=0)
+        if (after >= _IN_VAIN * before).all():
+            self.elements[-2:] = [replace(one, in_vain=across) for one in self.elements[-2:]]
         self.splits.append(worst.basis.names[across])
 
     def _shares(self) -> Float[np.ndarray, "elements outputs"]:
@@ -238,14 +246,16 @@ def _variance(probability: Float[np.ndarray, " elements"], terms: tuple[np.ndarr
 def _direction(worst: Element) -> int:
     """The variable to split: the one with the largest part in the terms of the two highest degrees.
 
-    Two, because a response that is odd about the element's middle, such as a jump there, has no even terms. If nothing
-    varies at the element's samples, it is the variable in which the element is widest.
+    Two, because a response that is odd about the element's middle, such as a jump there, has no even terms. If both are
+    but rounding, as where the element's samples miss what fresh points meet, it is the variable in which it is widest.
+    Few samples at a jump may point along it: what was halved in vain counts less in the next choice.
     """
     degrees = worst.basis.indices
     highest = degrees.sum(axis=1) >= degrees.sum(axis=1).max() - 1
     squares = sum(np.sum(terms**2, axis=1) / (np.sum(terms[1:] ** 2) or 1.0) for terms in worst.known)
     parts = (squares * highest) @ degrees
-    return int(np.argmax(parts if parts.max() > 0 else np.subtract(worst.cell.high, worst.cell.low)))
+    parts = parts if parts.max() > ROUNDING**2 else np.subtract(worst.cell.high, worst.cell.low)
+    return int(np.argmax(np.where(np.arange(len(parts)) == worst.in_vain, _DAMPED * parts, parts)))
 
 
 def collocate_elements(

@@ -55,7 +55,7 @@ class Feedback(Module):
       distribution or a `Decision`;
     - `of`: the states that are measured, by default those of the dict, or all; `to`: the inputs that are commanded, by
       default the only one;
-    - `noise`: that of sensors: a signal for each of `of`, or signals by name, such as `al.processes.WhiteNoise(1e-6)`;
+    - `noise`: that of sensors, such as `al.processes.WhiteNoise(1e-6)`: one signal for one of `of`, or signals by name;
     - `limits`: the least and the largest value of commanded inputs, between which actuators stay.
 
     Further outputs: `"u.command"` and `"u.applied"`, before and after the limits, and `"x.error"` of each measured

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from aleator._core.errors import ProblemError
-from aleator.design import Problem, with_simulation
+from aleator.design import Problem, in_quantiles, with_simulation
 from aleator.ensemble import listed
 from aleator.nlp import AbstractLocalSolver, AbstractSolver, Outcome, Status
 from aleator.solution import Branching, Solution
@@ -56,12 +56,14 @@ class Node(NamedTuple):
 class Tree:
     """The nodes of one search.
 
+    - `problem`: as it was declared; `transcribed`: as it is searched;
     - `full`: the complete solution of a problem whose integers and choices have one value, from a start by name;
     - `nodes`: the outcomes of all nodes; `open`: nodes to look at; `tried`: rows that were solved in full;
     - `answer`: the best solution so far; `passed`: those that are none or were refused, though a node met the limits,
       with the optimum of their nodes and the rows.
     """
 
+    problem: Problem
     transcribed: AbstractTranscribed
     solver: AbstractSolver
     full: Full
@@ -72,7 +74,7 @@ class Tree:
     passed: list[tuple[float, Rows, Solution | ProblemError]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.problem, self.places = self.transcribed.problem, self.transcribed.places
+        self.places = self.transcribed.places
         self.tables = tables_of(self.places)
         self.every: Left = tuple(np.arange(len(table.rows)) for table in self.tables)
         self.combinations = math.prod(map(len, self.every))
@@ -157,7 +159,7 @@ class Tree:
         is_new = away <= _SAME and rows not in self.tried
         try:
             objective = self.complete(rows, node) if is_new else np.inf
-            if node.size > 1 and objective > node.bound + _SAME * abs(node.bound):
+            if node.size > 1 and objective > node.bound and not math.isclose(objective, node.bound, rel_tol=_SAME):
                 self.divide(node)
         except KeyboardInterrupt:
             heapq.heappush(self.open, node)
@@ -186,11 +188,11 @@ def branched(
 
     - `first`: the decisions to start from; `full`: see `Tree`.
     """
-    transcribed = transcribe(problem, transcription)
+    transcribed = transcribe(in_quantiles(problem), transcription)
     start = transcribed.program.start if first is None else transcribed.point(first)
     if isinstance(solver, AbstractLocalSolver):
         solver = replace(solver, max_iterations=min(solver.max_iterations, _ITERATIONS))
-    tree, interrupted = Tree(transcribed, solver, full), False
+    tree, interrupted = Tree(problem, transcribed, solver, full), False
     is_listed = tree.combinations <= _LISTED
     try:
         for left in itertools.product(*tree.every) if is_listed else [tree.every]:

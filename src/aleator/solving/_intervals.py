@@ -28,7 +28,7 @@ from aleator.certification._grids import OWN_ERROR, grid_error
 from aleator.certification._judgement import Held, diagnose, solution_of, with_opinion
 from aleator.certification._systems import check_factor, is_checked, prepare_check
 from aleator.certification._worst_case import worth_imposing
-from aleator.design import Peak, Problem, declared_anew, functionals_of, value, with_simulation
+from aleator.design import Peak, Problem, declared_anew, functionals_of, in_quantiles, value, with_simulation
 from aleator.ensemble import corners_of, spread_over
 from aleator.nlp import HELD, AbstractSearch, Evaluation, NonlinearProgram, Outcome, Status
 from aleator.solution import Solution, WorstCase, WorstRealisation
@@ -278,6 +278,7 @@ def _begun(
     limit = (problem.objective - value(_LEVEL) <= 0.0).named(_LEVEL)
     limits, level = (*problem.constraints, limit), {_LEVEL: Decision(0.0)}
     whole = declared_anew(problem, problem.simulation, minimize=value(_LEVEL), subject_to=limits, decisions=level)
+    whole = in_quantiles(whole)
     free, prepare = at_values(whole.simulation), functools.partial(prepare_check, check_factor(problem, stages.between))
 
     def begun(level: float) -> tuple[Game, Float[np.ndarray, " n"]]:

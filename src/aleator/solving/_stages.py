@@ -16,11 +16,11 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.certification._between import cost_of_margins, excess_between, limits_beside, margins_for, tightened
 from aleator.certification._check import Check, begin_check
-from aleator.certification._grids import grid_error, misled_at
+from aleator.certification._grids import Start, grid_error, misled_at
 from aleator.certification._judgement import Held, diagnose, solution_of
 from aleator.certification._systems import check_factor, is_checked, pieces, prepare_check
 from aleator.certification._worst_case import Oracle, worst_case_limits
-from aleator.design import Problem, destabilised, is_over_time
+from aleator.design import Problem, destabilised, in_quantiles, is_over_time
 from aleator.nlp import (
     HELD,
     AbstractSearch,
@@ -90,7 +90,7 @@ class Stages(NamedTuple):
         """
         # Transcribe.
         prepare = functools.partial(prepare_check, check_factor(problem, self.between))
-        transcribed = transcribe(problem, self.transcription, prepare)
+        transcribed = transcribe(in_quantiles(problem), self.transcription, prepare)
         point, outcome = None if start is None else transcribed.point(start), None
         if self.transcription.refines:
             transcribed, point, outcome = self._on_fine_mesh(transcribed, point)
@@ -100,6 +100,9 @@ class Stages(NamedTuple):
             transcribed = oracle.begun(transcribed, transcribed.program.start if point is None else point, known)
         # Search.
         first = transcribed.program.start if point is None else point
+        is_unknown = multipliers is None and not self.transcription.is_guessed
+        asks_start = is_unknown and factor > 1 and problem.is_integrated
+        start_of_search = Start.of(transcribed, first) if asks_start else None
         outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = looked_around(transcribed, self.solver.local, outcome, first)
@@ -108,15 +111,14 @@ class Stages(NamedTuple):
         is_elsewhere = outcome.status is Status.SOLVED and outcome.point is not searched.point
         if self.transcription.refines and oracle is None and is_elsewhere:
             transcribed, _, outcome = self._on_fine_mesh(transcribed, outcome.point)
-            problem, first = transcribed.problem, outcome.point
+            start_of_search = Start.of(transcribed, outcome.point) if asks_start else None
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
         # Judge.
         if held.outcome.status is Status.INTERRUPTED and held.outcome.searched is None:
             raise KeyboardInterrupt
-        is_unknown = multipliers is None and not self.transcription.is_guessed
-        held = self._judged(held, first if is_unknown else None, factor)
+        held = self._judged(held, start_of_search, factor)
         return solution_of(held), held
 
     def answer_in_elements(
@@ -304,10 +306,10 @@ class Stages(NamedTuple):
         worst_case = oracle.found(held.transcribed, held.outcome, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
 
-    def _judged(self, held: Held, start: np.ndarray | None, factor: int) -> Held:
+    def _judged(self, held: Held, start: Start | None, factor: int) -> Held:
         """What was held, with the error of its grid, and what a program says that is not solved.
 
-        - `start`: where the search began, None where it was near an answer.
+        - `start`: where the search began, None where the grid is not asked there.
         """
         transcribed, outcome, error, misled = held.transcribed, held.outcome, None, ""
         problem, is_solved = transcribed.problem, outcome.status is Status.SOLVED
@@ -316,7 +318,7 @@ class Stages(NamedTuple):
         if outcome.status in (*UNSOLVED, Status.EVALUATION_FAILED):
             said = destabilised(problem, transcribed.decisions(outcome.point))
             outcome = replace(outcome, message=f"{said} {outcome.message}".lstrip())
-        if start is not None and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
+        if start is not None and (is_solved or outcome.status in UNSOLVED):
             misled = misled_at(transcribed, start, outcome.point if is_solved else None, factor)
             if outcome.status is Status.INFEASIBLE and not misled:
                 misled = grid_error(begin_check(transcribed, outcome.point, factor)(), self.accuracy).broken

@@ -4,6 +4,7 @@ from aleator.statistics._extremes import Infimum as Infimum
 from aleator.statistics._extremes import Supremum as Supremum
 from aleator.statistics._lines import lines_through as lines_through
 from aleator.statistics._measured import AbstractMeasured as AbstractMeasured
+from aleator.statistics._output_distribution import Sloped as Sloped
 from aleator.statistics._output_distribution import sloped as sloped
 from aleator.statistics._proposals import Proposal as Proposal
 from aleator.statistics._proposals import levels_of as levels_of

@@ -13,7 +13,7 @@ from aleator._core.border import Progress, one_of, silent
 from aleator._core.errors import SimulationError
 from aleator._core.leaves import Printed
 from aleator.certification import diagnose
-from aleator.design import Problem, is_at_points, is_worst_case, path_of
+from aleator.design import Problem, in_quantiles, is_at_points, is_worst_case, path_of
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, least_excess, variable_range
 from aleator.solution import system_text
@@ -103,7 +103,8 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     convex, "cannot" means that none of them found a design. Limits on the worst case are imposed at the collocation
     points and at corners of the distributions' box, not searched for: that they can hold there is no proof. Integers
     and choices may be anywhere between their bounds: what conflicts there conflicts for their values too, but not the
-    other way round.
+    other way round. A limit on a probability, which is 0 or 1 nearly everywhere, is searched and shown as that on a
+    quantile which says the same.
 
     - `problem`: as declared, states being simulated; `solver`: `al.solvers.Ipopt()` by default, since elastic programs
       are almost linear, where others know no length of a step.
@@ -114,7 +115,7 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     """
     one_of("conflict: problem", problem, Problem)
     solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
-    transcribed = _with_corners(transcribe(problem, DEFAULT))
+    transcribed = _with_corners(transcribe(in_quantiles(problem), DEFAULT))
     starts, names, constraints = _finite_starts(transcribed), problem.names, transcribed.problem.constraints
     # Groups are the constraints of one name; excesses are relative to the largest of their magnitudes.
     of_name = [[i for i, one in enumerate(constraints) if one.name == name] for name in names]
