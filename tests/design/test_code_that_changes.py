@@ -120,6 +120,7 @@ def test_a_function_that_comes_from_another_process_has_the_same_equations_here_
     monkeypatch.setattr(Toward, "target", lambda self: 0.0)
     mean = al.output("x").mean
     sent = pickle.dumps(al.expressions.function(weighed, mean))
+    assert pickle.dumps(pickle.loads(sent)) == sent
     assert jax.tree.structure(pickle.loads(sent)) == jax.tree.structure(al.expressions.function(weighed, mean))
     monkeypatch.setattr(f"{__name__}.WEIGHT", 2.0)
     other = pickle.loads(sent)

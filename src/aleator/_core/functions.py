@@ -54,33 +54,31 @@ def _hint(error: Exception) -> str:
 class OwnFunction:
     """A user's function of trees of numbers as its equations; equal to another one if these are.
 
-    - `arguments`: what it is given, with any numbers of the same shapes, or leaves in their places.
+    - `given`: the function; `arguments`: its own, with any numbers of the same shapes, or leaves in their places.
 
     A pickle has the function and their digest: where it is read, they are traced again and compared when they are
     needed. Only for arguments of another structure, as a user may give outside of problems, is the function called.
     """
 
-    def __init__(
-        self, who: str, function: Callable[..., Pytree], arguments: tuple[Pytree, ...], digest: Digest | None = None
-    ):
-        self._who, self._function, self._digest = who, function, digest
+    def __init__(self, who: str, function: Any, arguments: tuple[Pytree, ...], digest: Digest | None = None):
+        self._who, self.given, self._digest = who, function, digest
         self._arguments = jax.tree.map(_zeros, arguments, is_leaf=is_leaf)
         self.digest = digest or digest_of(self.traced.closed)
 
     @cached_property
     def traced(self) -> TracedFunction:
         """Its equations. Raises `ProblemError` if they are others than in the process that it comes from."""
-        traced = TracedFunction(partial(returned, self._who, self._function), *self._arguments)
+        traced = TracedFunction(partial(returned, self._who, self.given), *self._arguments)
         if self._digest is not None:
             self._digest.refuse_other(digest_of(traced.closed), self._who)
         return traced
 
     def __call__(self, *arguments: Pytree) -> Pytree:
         is_same = Layout.of(numbers_to_arrays(arguments), packed=False) == self.traced.layout
-        return self.traced(*arguments) if is_same else self._function(*arguments)
+        return self.traced(*arguments) if is_same else self.given(*arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return OwnFunction, (self._who, self._function, self._arguments, self.digest)
+        return OwnFunction, (self._who, self.given, self._arguments, self.digest)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, OwnFunction) or not self.digest.is_whole:

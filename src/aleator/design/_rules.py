@@ -209,13 +209,10 @@ class Own(AbstractRule):
     It is traced for one instant: a function of several instants would change with the grid.
     """
 
-    name: str = eqx.field(static=True)
     function: OwnFunction = eqx.field(static=True)
 
     def __init__(self, function: Callable[..., Any], count: int):
-        name = getattr(function, "__name__", "")
-        self.name = name if name.isidentifier() else "f"
-        who = f"The function '{self.name}'"
+        who = f"The function '{_name(function)}'"
         self.function = OwnFunction(who, partial(_number, who, function), (0.0,) * count)
 
     @override
@@ -226,7 +223,12 @@ class Own(AbstractRule):
 
     @override
     def text(self, *texts: str) -> str:
-        return f"{self.name}({', '.join(texts)})"
+        return f"{_name(self.function.given.args[-1])}({', '.join(texts)})"
+
+
+def _name(function: Callable[..., Any]) -> str:
+    name = getattr(function, "__name__", "")
+    return name if name.isidentifier() else "f"
 
 
 def _number(who: str, function: Callable[..., Any], *numbers: Array) -> Array:
