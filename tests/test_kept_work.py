@@ -14,7 +14,7 @@ import pytest
 
 import aleator as al
 from aleator._core import journalled as journal_hook
-from aleator._core.identity import code_digest
+from aleator._core.identity import identity_of
 from aleator._core.journalled import NotKeptError, journalled, read_lines
 from aleator.extending import kept
 from aleator.journalling import recalling
@@ -32,7 +32,7 @@ def widths(least: float, count: int, progress) -> list[float]:
 
 
 def test_two_functions_of_one_line_are_two():
-    assert len({code_digest(one) for one in (lambda x: x, lambda x: x, lambda x: 2 * x, lambda x: 3 * x)}) == 3
+    assert len({identity_of(one) for one in (lambda x: x, lambda x: x, lambda x: 2 * x, lambda x: 3 * x)}) == 3
 
 
 LOCK = threading.Lock()

@@ -19,7 +19,7 @@ from aleator._core import programs, uncollected
 from aleator._core.arrays import Layout, Pytree
 from aleator._core.equations import TracedFunction, asks_twice
 from aleator._core.errors import ProblemError
-from aleator._core.identity import lasting_name, traced_once
+from aleator._core.identity import lasting_name
 from aleator._core.parallel import Device, beside, here, placed, undisturbed
 from aleator._core.programs import PROGRAMS
 
@@ -318,8 +318,8 @@ _EVALUATED = {use: Compiled(_evaluated, use=use) for use in Use}
 
 
 def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
-    """The value of a function of arrays in compiled form: compiled once for equal equations."""
-    return evaluate_traced(traced_once(function, function, *arguments), *arguments, use=use)
+    """The value of a function of arrays in compiled form: traced now, and compiled once for equal equations."""
+    return evaluate_traced(TracedFunction(function, *arguments), *arguments, use=use)
 
 
 def evaluate_traced(function: TracedFunction, *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:

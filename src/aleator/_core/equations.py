@@ -42,6 +42,14 @@ class Digest(NamedTuple):
     text: str
     is_whole: bool
 
+    def refuse_other(self, here: "Digest", who: str) -> None:
+        """Raise `ProblemError` if equations that came from another process, called `who`, are others here."""
+        if self != here:
+            raise ProblemError(
+                f"{who}: the code of this process gives other equations than those that the problem was declared with "
+                "in another one. Start workers anew, with the same files; solve stored designs again."
+            )
+
 
 def digest_of(closed: ClosedJaxpr, *, constants: bool = True) -> Digest:
     """The digest of a traced function: of its equations, the inner arrays and rules of these, and its `constants`."""

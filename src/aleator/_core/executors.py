@@ -68,16 +68,11 @@ def each_done(
 ) -> Iterator[tuple[int, Any]]:
     """The results of `work` for some arguments, or our own exceptions, each by its number, as soon as they are there.
 
-    All is packed at once, and sent once the first result is asked for. Warnings begin with the words in `where`. Where
-    the caller stops, what has not begun is cancelled. Raises `ProblemError` for arguments that cannot travel, and
-    `SimulationError` if an executor takes no work, workers keep dying, or what they give is no result of their work.
+    All is packed before any is sent. Warnings begin with the words in `where`. Where the caller stops, what has not
+    begun is cancelled. Raises `ProblemError` for arguments that cannot travel, and `SimulationError` if an executor
+    takes no work, workers keep dying, or what they give is no result of their work.
     """
-    return _received_as_done(executor, {i: packed(executor, work, one) for i, one in calls.items()}, where)
-
-
-def _received_as_done(
-    executor: Executor, packs: Mapping[int, "Pack"], where: Sequence[str]
-) -> Iterator[tuple[int, Any]]:
+    packs = {i: packed(executor, work, one) for i, one in calls.items()}
     numbers: dict[Future[Any], int] = {}
     try:
         for i, pack in packs.items():

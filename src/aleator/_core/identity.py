@@ -1,8 +1,9 @@
 """Digests, valid in every process, of what a compiled program or a result follows from.
 
-A declared problem is told by the digest of its equations, this package and the libraries by their versions, and a
-user's function by its code, with the values that it takes from outside. What cannot be written out is a doubt: then
-a program is traced, and a result computed, anew.
+A declared problem is told by the digest of its equations, and this package and the libraries by their versions. Code
+is read only where there are no equations: a user's classes in a problem, black boxes, and work that a journal keeps;
+with the values that it takes from outside. What cannot be written out is a doubt: then a program is traced, and a
+result computed, anew.
 """
 
 import dataclasses
@@ -15,8 +16,7 @@ import sys
 import sysconfig
 import time
 import types
-import uuid
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from decimal import Decimal
 from fractions import Fraction
 from importlib import metadata
@@ -26,10 +26,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 
-from aleator._core.arrays import Layout, Pytree, numbers_to_arrays
-from aleator._core.equations import TracedFunction, array_digest, digest_of, refuse_unsteady
+from aleator._core.equations import TracedFunction, array_digest
 from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
 
@@ -76,33 +74,12 @@ def lasting_digest(it: Any, *, declared: bool = False) -> str:
         raise DoubtError(f"looking at it raises {type(error).__name__}: {error}") from error
 
 
-def code_digest(function: Callable[..., Any], version: str = "") -> str:
-    """A digest of a user's function or class: of its code and what this names, or of a version instead.
-
-    It is like no other if there is neither.
-    """
-    if not version and (digest := identity_of(function)):
-        return digest
-    name = getattr(function, "__qualname__", type(function).__qualname__)
-    return joined([function.__module__, name, version or uuid.uuid4().hex])
-
-
 def identity_of(tree: Any) -> str | None:
-    """A digest of a tree with all code and numbers in it; None if it cannot be written out."""
+    """A digest of a tree with all code and numbers in it, and what the code names; None if it cannot be written out."""
     try:
         return lasting_digest(tree)
     except DoubtError:
         return None
-
-
-def own_code(tree: Any) -> str:
-    """A digest of a user's functions and classes in a tree; empty if there are none, or if they cannot be written."""
-    texts = _Texts()
-    try:
-        list(texts(tree))
-    except Exception:  # besides doubts: a user's object may raise any if it is looked at
-        return ""
-    return joined(texts.own) if texts.own else ""
 
 
 def joined(texts: Iterable[str]) -> str:
@@ -183,7 +160,6 @@ class _Texts:
     def __init__(self, *, whole: bool = True):
         self._whole = whole
         self._known = set[Any]()  # functions and classes that have been written
-        self.own = list[str]()  # a user's code among the texts
 
     def __call__(self, it: Any, *, declared: bool = False) -> Iterator[str]:
         """The texts of an object; `declared`: within a problem, the digest of whose equations covers its code."""
@@ -256,13 +232,11 @@ class _Texts:
             raise DoubtError(f"{_name_of(it)} is known to one run alone")
         self._known.add(it)
         if isinstance(it, types.FunctionType):
-            code = list(self._function(it))
+            yield from self._function(it)
         elif isinstance(it, type):
-            code = list(self._attributes(it))
+            yield from self._attributes(it)
         else:
             raise DoubtError(f"{_name_of(it)} is not written in Python")
-        self.own += code
-        yield from code
 
     def _attributes(self, it: type) -> Iterator[str]:
         """What a class defines, its bases, and its own class."""
@@ -328,31 +302,3 @@ def _constant(array: Any) -> str:
     if array.dtype.hasobject or not (type(array) is np.ndarray or isinstance(array, np.generic)):
         raise DoubtError(f"it holds an array of {_name_of(type(array))} with {array.dtype}")
     return array_digest(array)
-
-
-# The functions that were traced last: enough for a session's.
-_MOST_TRACES = 64
-_TRACES = dict[Hashable, TracedFunction]()
-
-
-def traced_once(
-    code: Pytree, function: Callable[..., Pytree], *arguments: Pytree, who: str | None = None
-) -> TracedFunction:
-    """A function traced for arguments like these, unless it has been: `code` tells all that it follows from.
-
-    What cannot be told is traced each time. Raises `ProblemError` in the name of `who`, if one is named, for code that
-    computes something else at each trace.
-    """
-    name, arguments = identity_of(code), numbers_to_arrays(arguments)
-    key = name, Layout.of(arguments, packed=False)
-    known = None if name is None else _TRACES.pop(key, None)
-    if known is None:
-        known = TracedFunction(function, *arguments)
-        if who is not None:
-            again = functools.partial(TracedFunction, function, *arguments)
-            refuse_unsteady(who, digest_of(known.closed), lambda: digest_of(again().closed))
-    if name is not None and not any(isinstance(one, Tracer) for one in known.closed.consts):
-        _TRACES[key] = known  # the last to go
-        if len(_TRACES) > _MOST_TRACES:
-            _TRACES.pop(next(iter(_TRACES)), None)
-    return known

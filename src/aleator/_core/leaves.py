@@ -156,6 +156,13 @@ def is_traced(tree: Pytree) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
+def nodes(tree: Pytree) -> list[Any]:
+    """All parts of a tree, itself included."""
+    found = list[Any]()
+    jax.tree.flatten(tree, is_leaf=lambda node: found.append(node) is not None)
+    return found
+
+
 def realised_shape(number: Any) -> tuple[int, ...]:
     """The shape that numbers, a leaf, or a sequence of both have in a realisation."""
     if isinstance(number, list | tuple):

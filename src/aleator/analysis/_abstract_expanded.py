@@ -19,9 +19,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.border import real
-from aleator._core.compilation import Use, evaluate_traced
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.identity import traced_once
 from aleator._core.leaves import Drawn, Module, is_traced
 from aleator.ensemble import at_levels, concrete, part, random_levels
 from aleator.expansion import AbstractBasis, Collocation, left_out
@@ -104,8 +103,7 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
             if kind.needs_no_compiler and not is_traced(arguments):
                 value, error = _statistic_of(*arguments)
             else:
-                traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
-                value, error = evaluate_traced(traced, *arguments, use=_use(terms))
+                value, error = evaluate(_statistic_of, *arguments, use=_use(terms))
             if error is not None and not is_traced(error):
                 _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
             if without is not None:

@@ -25,6 +25,7 @@ from aleator.design import (
     expanded_functionals,
     first_broken,
     instants_at,
+    may_lose_derivatives,
     statistics_in,
     unsolved,
 )
@@ -231,15 +232,13 @@ def _untrusted(solution: Solution) -> str:
 def _lost_derivatives(held: Held, solution: Solution) -> str:
     """A sentence on values around an answer that do not follow their derivatives; empty if all do.
 
-    Asked of equations alone that may lose derivatives, and of a user's own functions: JAX's are exact elsewhere.
+    Asked of equations alone that may lose derivatives, and of a user's own code: JAX's are exact elsewhere.
     """
     problem, multipliers, point = held.transcribed.problem, solution.multipliers, held.outcome.point
     if jumped := unfollowed_jumps(held.transcribed, point, multipliers):
         return jumped
-    equations = problem.simulation.equations
-    may_lose = problem.code or (equations is not None and equations.may_lose_derivatives)
     # A search has compared values.
-    if solution.effort.searched or not may_lose:
+    if solution.effort.searched or not may_lose_derivatives(problem):
         return ""
     miss = missed_slope(held.transcribed.program, point, multipliers)
     if miss is None:

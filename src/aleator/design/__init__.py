@@ -3,7 +3,7 @@
 from aleator.design._check import LEAST_CHANCE as LEAST_CHANCE
 from aleator.design._check import destabilised as destabilised
 from aleator.design._control import Control as Control
-from aleator.design._equations import refuse_changed_code as refuse_changed_code
+from aleator.design._equations import may_lose_derivatives as may_lose_derivatives
 from aleator.design._equations import refuse_other_code as refuse_other_code
 from aleator.design._expression import Composed as Composed
 from aleator.design._expression import Constraint as Constraint

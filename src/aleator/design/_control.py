@@ -11,7 +11,8 @@ from typing_extensions import override
 
 from aleator._core.border import real_array, refusal, shown
 from aleator._core.errors import ProblemError
-from aleator.dynamics import Grid, LinkedSystems, Simulation, returned
+from aleator._core.functions import returned
+from aleator.dynamics import Grid, LinkedSystems, Simulation
 from aleator.trajectories import AbstractTrajectory, Piecewise
 from aleator.uncertainty import Decision
 

@@ -1,8 +1,9 @@
 """The equations of a declared problem: traced once, with its expressions, whose outputs and shapes they must match."""
 
+import uuid
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,35 +15,42 @@ from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import traceable
 from aleator._core.equations import Digest, digest_of, joint_digest, refuse_unsteady
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.identity import code_digest, is_library, own_code
-from aleator._core.leaves import is_leaf
+from aleator._core.identity import identity_of, is_library
+from aleator._core.leaves import nodes
 from aleator.design._check import unknown
 from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral, events_of
 from aleator.design._response import AbstractProblem
+from aleator.design._rules import Own
 from aleator.design._scope import AbstractScope
-from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import Equations, Grid, Occurrence, called, jump_times, phase_of, time_switches
+from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined
+from aleator.dynamics import (
+    AbstractIntegrator,
+    Equations,
+    Grid,
+    Occurrence,
+    called,
+    jump_times,
+    phase_of,
+    time_switches,
+)
 from aleator.statistics import AbstractStatistic
-from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import at_means, named_numbers, realise, uncertain_again
+from aleator.trajectories import AbstractSignal, Parametrised
+from aleator.uncertainty import AbstractDistribution, at_means, named_numbers, realise, uncertain_again
 
 # How far from the initial decisions others are tried, as a part of their ranges.
 _BESIDE = 1e-2
 
 
-class Declared(NamedTuple):
-    """What a problem is: its equations, the digest of all that is computed, and of a user's code outside equations."""
-
-    equations: Equations
-    digest: Digest
-    code: str
+# A user's own classes of these kinds are called for each program.
+_CALLED = AbstractDistribution, AbstractSignal, AbstractFunctional, AbstractStatistic, AbstractIntegrator
 
 
-def declared(problem: AbstractProblem) -> Declared:
+def declared(problem: AbstractProblem) -> tuple[Equations, Digest]:
     """Trace the equations of a problem; for a deterministic one, of the uncertain one that it stands for.
 
-    Raises `ProblemError` if two traces differ, or if outputs and expressions do not match.
+    Returns them with the digest of all that is computed. Raises `ProblemError` if two traces differ, or if outputs and
+    expressions do not match.
     """
     whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
     equations, realisation, switching = _traced(whole)
@@ -58,10 +66,10 @@ def declared(problem: AbstractProblem) -> Declared:
             raise ProblemError(_unknown_output(whole, name, list(outputs)))
     expressions = digest_of(_check_shapes(whole, outputs))
     parts = {"realisation": realisation, "equations": equations.digest, "expressions": expressions}
-    # A user's own statistics and integrators are in no equations.
-    kinds = (type(whole.integrator), *(type(one.kind) for one in statistics_in(whole.expressions)))
-    own = {one.__qualname__: Digest(code_digest(one), False) for one in kinds if not is_library(one.__module__)}
-    return Declared(equations, joint_digest(parts | own), _code_of(whole))
+    # What is called for each program is known to this process alone.
+    kinds = {type(node) for node in nodes(whole) if isinstance(node, _CALLED)}
+    own = sorted(identity_of(one) or uuid.uuid4().hex for one in kinds if not is_library(one.__module__))
+    return equations, joint_digest(parts | {f"own {one}": Digest(one, False) for one in own})
 
 
 def _unknown_output(problem: AbstractProblem, name: str, known: list[str]) -> str:
@@ -75,16 +83,10 @@ def _unknown_output(problem: AbstractProblem, name: str, known: list[str]) -> st
     return unknown(f"output of {type(problem.simulation.of(name).system).__name__}", own, there)
 
 
-def refuse_changed_code(problem: AbstractProblem) -> None:
-    """Raise `ProblemError` if a user's code in a problem is not what it was, where programs call it as it stands.
-
-    It is that of expressions, statistics, distributions, signals and integrators; that of systems is never called.
-    """
-    if problem.code and _code_of(problem) != problem.code:
-        raise ProblemError(
-            "The code of your own functions, statistics, distributions or signals in the problem, or a number that "
-            "they name, is not what it was when the problem was declared: declare it again, or undo the change."
-        )
+def may_lose_derivatives(problem: AbstractProblem) -> bool:
+    """Whether derivatives may be others than those of the values, by its equations or a user's code besides."""
+    equations, own = problem.simulation.equations, any(isinstance(one, Own | Parametrised) for one in nodes(problem))
+    return own or not problem.is_declared or (equations is not None and equations.may_lose_derivatives)
 
 
 def refuse_other_code(problem: AbstractProblem) -> None:
@@ -95,15 +97,6 @@ def refuse_other_code(problem: AbstractProblem) -> None:
         return decisions
 
     jax.eval_shape(applied, np.zeros(len(problem.placements.germ_names)), np.zeros(problem.placements.size))
-
-
-def _code_of(problem: AbstractProblem) -> str:
-    def stands_apart(node: Any) -> bool:
-        return is_leaf(node) or isinstance(node, AbstractSignal)
-
-    simulation = uncertain_again(problem.simulation)
-    inside = jax.tree.leaves((simulation.system, simulation.grid), is_leaf=stands_apart)
-    return own_code((inside, simulation.inputs, simulation.integrator, problem.objective, problem.constraints))
 
 
 def _traced(problem: AbstractProblem) -> tuple[Equations, Digest, dict[str, set[str]]]:

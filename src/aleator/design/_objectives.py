@@ -207,18 +207,18 @@ def positive_part(expression: Any, *, smoothing: float = 0.0) -> Expression:
 def function(of: Callable[..., Any], *expressions: Any) -> Expression:
     """Your own function of expressions and numbers, written with `jax.numpy` so that it can be differentiated.
 
-    It is given one number of each expression and returns one number. For a path it is called for each instant by
-    itself: what joins instants is an integral (`al.time_integral`), a peak or an rms. A function that differs, though
-    it computes the same, is compiled again: define it once, outside of loops.
+    It is given one number of each expression and returns one number. A path is a number of each instant by itself: what
+    joins instants is an integral (`al.time_integral`), a peak or an rms. The function is traced here, once: to change
+    its code, write the expression again.
 
-    Raises `ProblemError` if `of` is no function, or no expression is given; and, once it is used in a problem, if it
-    raises, or returns anything but one real number.
+    Raises `ProblemError` if `of` is no function, or no expression is given; if it raises, or returns anything but one
+    real number.
     """
     if not callable(of):
         raise refusal("function", "a function of the values of expressions", of)
     if not expressions:
         raise ProblemError("function: expected the expressions that it is a function of; received none.")
-    return composed(Own(of), *expressions)
+    return composed(Own(of, len(expressions)), *expressions)
 
 
 def pure(expression: Any) -> Expression:

@@ -119,9 +119,9 @@ class Problem(AbstractProblem):
         if any(isinstance(one.system, Noisy) for one in simulation.phases.values()):
             self.objective, self.constraints = with_noise((self.objective, self.constraints))
         self.expansion = Expansion() if expansion is None else expansion
-        self.physics, self.code = Digest("", False), ""
+        self.physics = Digest("", False)
         check(self)
-        equations, self.physics, self.code = declared(self)
+        equations, self.physics = declared(self)
         self.simulation = replace(self.simulation, equations=equations)
         refuse_infinite(self)
 

@@ -47,8 +47,7 @@ class AbstractProblem(Module, Printed):
     """The parts of a problem and what follows from them; implemented by `Problem` alone.
 
     `physics` is the digest of its traced equations, with those of its expressions. All programs are built from the
-    equations as they were declared: to change code, declare again. `code` is the digest of a user's code that is in no
-    equations, such as that of statistics; empty if there is none.
+    equations as they were declared: to change code, declare again.
     """
 
     simulation: Simulation
@@ -56,11 +55,10 @@ class AbstractProblem(Module, Printed):
     constraints: tuple[Constraint, ...]
     expansion: Expansion | MultiElement
     physics: Digest = eqx.field(static=True)
-    code: str = eqx.field(static=True)
 
     @property
     def is_declared(self) -> bool:
-        """Whether its digest tells all code in it: not that of its own statistics, or behind `jax.pure_callback`."""
+        """Whether its digest tells all code in it: not a user's statistics, or what is behind `jax.pure_callback`."""
         return self.physics.is_whole
 
     @property

@@ -4,7 +4,8 @@ import abc
 import itertools
 import re
 from collections.abc import Callable
-from typing import ClassVar, final
+from functools import partial
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
@@ -16,11 +17,10 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library
 from aleator._core.border import traceable
-from aleator._core.compilation import Use, evaluate_traced
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator._core.identity import traced_once
+from aleator._core.functions import OwnFunction
 from aleator._core.leaves import Module, is_traced
-from aleator.dynamics import returned
 from aleator.statistics import EXPONENTS, PURE, common, product, quotient, raised, root
 
 # A name or number without an exponent, or a statistic of one.
@@ -206,37 +206,39 @@ class PositivePart(AbstractRounded):
 class Own(AbstractRule):
     """A user's own function of numbers, in JAX.
 
-    It is called for one instant at a time: a function of several instants would change with the grid.
+    It is traced for one instant: a function of several instants would change with the grid.
     """
 
-    function: Callable[..., Array] = eqx.field(static=True)
+    function: OwnFunction = eqx.field(static=True)
+
+    def __init__(self, function: Callable[..., Any], count: int):
+        who = f"The function '{_name(function)}'"
+        self.function = OwnFunction(who, partial(_number, who, function), (0.0,) * count)
 
     @override
     def of(self, *values: Array) -> Array:
         # Of known numbers as one program: JAX would compile each operation by itself.
-        each = jnp.vectorize(self._of_numbers)
-        if is_traced(values):
-            return each(*values)
-        return evaluate_traced(traced_once(self, each, *values), *values, use=Use.BRIEF)
-
-    def _of_numbers(self, *numbers: Array) -> Array:
-        who = f"The function '{self._name}'"
-        number = traceable(f"{who} of expressions", returned(who, self.function, *numbers))
-        if number.shape != ():
-            raise ProblemError(
-                f"{who} of expressions: expected one number from one number of each expression; received an array of "
-                f"shape {number.shape}. It is called for one instant at a time; al.time_integral joins instants."
-            )
-        return number
-
-    @property
-    def _name(self) -> str:
-        name = getattr(self.function, "__name__", "")
-        return name if name.isidentifier() else "f"
+        each = jnp.vectorize(self.function.traced)
+        return each(*values) if is_traced(values) else evaluate(each, *values, use=Use.BRIEF)
 
     @override
     def text(self, *texts: str) -> str:
-        return f"{self._name}({', '.join(texts)})"
+        return f"{_name(self.function.given.args[-1])}({', '.join(texts)})"
+
+
+def _name(function: Callable[..., Any]) -> str:
+    name = getattr(function, "__name__", "")
+    return name if name.isidentifier() else "f"
+
+
+def _number(who: str, function: Callable[..., Any], *numbers: Array) -> Array:
+    number = traceable(f"{who} of expressions", function(*numbers))
+    if number.shape != ():
+        raise ProblemError(
+            f"{who} of expressions: expected one number from one number of each expression; received an array of "
+            f"shape {number.shape}. It is called for one instant at a time; al.time_integral joins instants."
+        )
+    return number
 
 
 def _of_factor(unit: str | None) -> str:

@@ -79,4 +79,3 @@ from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs
 from aleator.dynamics._system import check_variables as check_variables
-from aleator.dynamics._system import returned as returned

@@ -19,7 +19,6 @@ from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Pytree, numbers_to_arrays, refuse_beyond_memory
 from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest, may_lose_derivatives
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, equations, first_guess, outputs_at
 from aleator.dynamics._evaluation import (
@@ -152,11 +151,7 @@ class Equations:
         if self._functions is not None:
             return
         again = trace()
-        if again != self:
-            raise ProblemError(
-                f"{system.title}: the code of this process gives other equations than those that the problem was "
-                "declared with in another one. Start workers anew, with the same files; solve stored designs again."
-            )
+        self.digest.refuse_other(again.digest, system.title)
         self._functions, self.phases = again._functions, again.phases
         self.finer, self.narrower = again.finer, again.narrower
 

@@ -19,10 +19,11 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar
 from aleator._core.border import meant, one_of, refusal, traceable
 from aleator._core.errors import ProblemError
+from aleator._core.functions import returned
 from aleator._core.leaves import Module, transparent
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs
 from aleator.dynamics._record import STATES, Asked, Integrand, Occurrence, Record
-from aleator.dynamics._system import AbstractSystem, System, returned
+from aleator.dynamics._system import AbstractSystem, System
 
 Link = Callable[..., Any]
 

@@ -15,13 +15,11 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.border import refusal, refuse_missing, traceable
-from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.errors import ProblemError
+from aleator._core.functions import first_line, returned
 from aleator._core.leaves import Module, Printed, is_leaf, named_leaves
 from aleator.dynamics._event import Event
 from aleator.trajectories import AbstractSignal
-
-# The longest quotation of another library's error message.
-_LONGEST = 160
 
 # The methods of a system with algebraic variables.
 _IMPLICIT = ("residual", "algebraic_guess")
@@ -254,7 +252,7 @@ def _state_type(names: tuple[str, ...]) -> Any:
     except ValueError as error:
         raise ProblemError(
             "Names of states and unknowns must be distinct Python names without a leading underscore; received "
-            f"{names}: {_first_line(error)}."
+            f"{names}: {first_line(error)}."
         ) from error
 
 
@@ -270,39 +268,6 @@ def evaluated(
 def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Call `method` of `system`. Raises `ProblemError` for whatever the user's code raises, with a remedy if known."""
     return returned(f"{type(system).__name__}.{method.__name__}", method, *arguments, **named)
-
-
-def returned(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """What a user's function `who` returns. Raises `ProblemError` for whatever it raises, with a remedy if known."""
-    try:
-        return function(*arguments, **named)
-    except (AleatorError, jax.errors.JaxRuntimeError):
-        raise
-    except jax.errors.TracerBoolConversionError as error:
-        raise ProblemError(
-            f"{who} branches on a number that is only known at run time: use jnp.where(condition, a, b) instead of "
-            "`if`, and jnp.minimum or jnp.maximum instead of min or max."
-        ) from error
-    except jax.errors.JAXTypeError as error:
-        raise ProblemError(
-            f"{who} converts a number that is only known at run time to plain Python or NumPy: use jax.numpy, such as "
-            "jnp.sin, instead of numpy and math, and avoid float(), int(), range(), .item() and .tolist()."
-        ) from error
-    except Exception as error:
-        raise ProblemError(f"{who} raised {type(error).__name__}: {_first_line(error)}{_hint(error)}") from error
-
-
-def _first_line(error: Exception) -> str:
-    text = (str(error).splitlines() or [""])[0]
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-
-
-def _hint(error: Exception) -> str:
-    """The names of a state, where the code asked for an unknown one, and what else a state may lack."""
-    if isinstance(error, IndexError) and "0-dimensional" in str(error):
-        return ". A state without a value in initial() is a single number, zero: arrays are given there."
-    names = getattr(getattr(error, "obj", None), "_fields", ())
-    return f"; expected one of {names}." if isinstance(error, AttributeError) and names else ""
 
 
 class _Inputs(NamedTuple):

@@ -8,6 +8,7 @@ the same program. They share levels, batches and messages with this package, and
 import abc
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -20,9 +21,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Pytree, jax_array, refuse_beyond_memory
 from aleator._core.compilation import evaluate_traced
-from aleator._core.equations import TIME, TracedFunction, switches
+from aleator._core.equations import TIME, TracedFunction, digest_of, refuse_unsteady, switches
 from aleator._core.errors import ProblemError
-from aleator._core.identity import traced_once
 from aleator._core.leaves import is_traced, named_leaves
 from aleator.ensemble._batches import Part, at_levels, each, fill, joined
 from aleator.ensemble._outputs import (
@@ -227,9 +227,10 @@ class TracedEnsemble(AbstractEnsemble):
             return jax.vmap(lambda point: self._at(model, decisions, point, jnp))(points)
 
         points = np.zeros((size, len(self.places.germs)))
-        arguments = outputs, self._numbers, self._decisions, points
+        trace = partial(TracedFunction, outputs, self._numbers, self._decisions, points)
         try:
-            traced = traced_once((self._function, self._rest), *arguments, who=self._name)
+            traced = trace()
+            refuse_unsteady(self._name, digest_of(traced.closed), lambda: digest_of(trace().closed))
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "

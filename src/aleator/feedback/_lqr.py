@@ -4,6 +4,7 @@ gains that destabilise, and plans that no gains can stabilise, as the linearised
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -17,9 +18,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import refusal, whole
-from aleator._core.compilation import Compiled, Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator._core.identity import own_code
 from aleator._core.leaves import stored_numbers
 from aleator.dynamics import (
     ONLY_STATES,
@@ -241,10 +241,9 @@ _GROWTH = 1e-6
 
 
 def _linear_loop(
-    law: AbstractController, model: System, inputs: dict[str, AbstractSignal], grid: Grid, names: Any, code: str
+    names: Any, law: AbstractController, model: System, inputs: dict[str, AbstractSignal], grid: Grid
 ) -> tuple[Float[Array, "n n"], Float[Array, "n m"], Float[Array, "m n"]]:
     """The derivatives of the rates by states and commanded inputs, and of these by the states, at the start."""
-    del code  # tells programs apart
     (of, to), t = names, grid.times[0]
     values = sampled({**model.signals(), **inputs}, grid, grid.fractions[:1])
     now = {name: rows[0] for name, rows in values.items()}
@@ -263,9 +262,6 @@ def _linear_loop(
     return *linearised(rates, z, u), jnp.zeros((u.size, z.size)) if isinstance(law, LQR) else jax.jacfwd(command)(z)
 
 
-_LINEAR_LOOP = Compiled(_linear_loop, use=Use.BRIEF)
-
-
 def unstable(
     law: AbstractController,
     model: System,
@@ -278,8 +274,8 @@ def unstable(
 
     `inputs`: of the plan.
     """
-    arguments = numbers_to_arrays((law, model, inputs, grid))
-    A, B, K = map(np.asarray, _LINEAR_LOOP(*arguments, (of, to), own_code((law, model, inputs))))
+    loop = evaluate(partial(_linear_loop, (of, to)), law, model, inputs, grid, use=Use.BRIEF)
+    A, B, K = map(np.asarray, loop)
     if isinstance(law, LQR):
         if law.final is not None or _can_be_stabilised(A, B):
             return ""

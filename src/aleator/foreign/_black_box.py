@@ -1,6 +1,7 @@
 """`BlackBox`: any function or command line as the model of an uncertainty analysis, and how its samples run."""
 
 import math
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
@@ -16,7 +17,7 @@ from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
-from aleator._core.identity import code_digest, own_code
+from aleator._core.identity import identity_of, joined
 from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
 from aleator.foreign._command import Command, Isolated
 from aleator.foreign._journal import Journal
@@ -77,8 +78,8 @@ class BlackBox(AbstractBox):
         self._drop = drop_given("BlackBox: drop", drop)
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
         self._inner = function.function if isinstance(function, Isolated) else function
-        self._code = own_code(self._inner)
-        self._journal = Journal(journal, self._identity())
+        self._unlike = self._version or uuid.uuid4().hex
+        self._journal = Journal(journal)
         self.__name__ = name_of(function).strip("'")
 
     @property
@@ -95,13 +96,14 @@ class BlackBox(AbstractBox):
         """A digest of a function's code or its version, or of a command with the contents of the files it names."""
         if isinstance(self._inner, Command):
             return self._inner.digest(self._version)
-        return code_digest(self._inner, self._version)
+        name = getattr(self._inner, "__qualname__", type(self._inner).__qualname__)
+        code = None if self._version else identity_of(self._inner)
+        return code or joined([self._inner.__module__, name, self._unlike])
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        code, journal = own_code(self._inner), self._journal
-        if isinstance(self._inner, Command) or (code != self._code and not self._version):
-            self._code, journal.box = code, self._identity()
+        journal = self._journal
+        journal.box = self._identity()
         keys = [journal.key(realisation) for realisation in realisations]
         samples = Samples(name_of(self), realisations, self._drop, whole=whole)
         try:

@@ -19,7 +19,7 @@ _HEADER = {"journal": "aleator.foreign", "version": 1}
 
 @final
 class Journal:
-    """Outputs by a digest of the `box`, which may become another, and of all numbers of its model.
+    """Outputs by a digest of the `box`, which is set before each use, and of all numbers of its model.
 
     A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
     cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
@@ -28,8 +28,8 @@ class Journal:
     Raises `ProblemError` if the file is no journal, or cannot be read or written.
     """
 
-    def __init__(self, path: Any, box: str):
-        self.box = box
+    def __init__(self, path: Any):
+        self.box = ""
         self.path = None if path is None else Path(one_of("BlackBox: journal", path, (str, Path))).absolute()
         self._known: dict[tuple[str, str], Pytree] = {}
         if self.path is None:

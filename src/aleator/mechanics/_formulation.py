@@ -17,9 +17,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import one_of
-from aleator._core.compilation import Compiled, Use
+from aleator._core.compilation import Compiled, Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator._core.identity import own_code
+from aleator._core.identity import identity_of
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._arguments import (
@@ -153,7 +153,7 @@ class AbstractFormulation(System):
         if self.model.constraints and not is_traced((self, t, inputs)):
             # No program can be traced of some code, such as of what branches on a number.
             with contextlib.suppress(Exception):
-                return _STARTED(*numbers_to_arrays((self, t, dict(inputs))), own_code(self))
+                return evaluate(type(self).started, self, t, dict(inputs), use=Use.BRIEF)
         return self.started(t, inputs)
 
     def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -307,9 +307,12 @@ class AbstractFormulation(System):
         if system.model.computes_by_numpy and not system.changes:
             model = system.model.prepared()
             object.__setattr__(system, "model", model)
-            seen = known_arrays(_examined(system, grid, ""))
+            seen = known_arrays(_examined(system, grid))
         else:
-            seen = known_arrays(_EXAMINED(*numbers_to_arrays((system, grid)), own_code(system)))
+            # Tracing it takes longer than reading code, which tells whether it has been: each of a family is checked.
+            numbers = numbers_to_arrays((system, grid))
+            code = identity_of(eqx.filter(numbers, eqx.is_array, inverse=True))
+            seen = known_arrays(_EXAMINED(*numbers, code) if code else evaluate(_examined, *numbers, use=Use.BRIEF))
             model = known_arrays(at(system.model, *seen.row))
         times = np.asarray(grid.times)
 
@@ -345,7 +348,7 @@ def a_model(who: str, model: Any) -> AbstractMechanical:
     return one_of(f"{who}: model", model, AbstractMechanical, "al.Lagrangian or al.Multibody")
 
 
-def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination:
+def _examined(system: AbstractFormulation, grid: Grid, code: str = "") -> Examination:
     del code  # tells programs apart
     model, parts, now = system.model, system.parts, instants_of(system.model, grid)
     row, (_, path) = now.row(0), in_library(system.path(grid))
@@ -378,10 +381,4 @@ def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination
     return Examination(row, near, history, q, postures, path)
 
 
-def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any], code: str) -> Mapping[str, Any]:
-    del code  # tells programs apart
-    return system.started(t, inputs)
-
-
-# Compiled once for all systems of a family, each of which is checked.
-_EXAMINED, _STARTED = Compiled(_examined, use=Use.BRIEF), Compiled(_started, use=Use.BRIEF)
+_EXAMINED = Compiled(_examined, use=Use.BRIEF)

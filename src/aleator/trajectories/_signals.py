@@ -5,6 +5,7 @@ Trajectories are functions over a duration that is set elsewhere, with their der
 
 import abc
 from collections.abc import Callable, Iterable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, ClassVar, final
 
@@ -19,6 +20,7 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.border import refusal, takes
 from aleator._core.equations import as_time
 from aleator._core.errors import ProblemError
+from aleator._core.functions import OwnFunction
 from aleator._core.leaves import Module, is_traced, lowest, realised_shape, stored_numbers
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
@@ -75,7 +77,7 @@ def instants(fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "
 class Parametrised(AbstractSignal):
     """A function of time and parameters; see `signal`. A parameter's name is its place: `inputs.force.p.amplitude`."""
 
-    function: Callable[[Any, Any], Any] = eqx.field(static=True)
+    function: OwnFunction = eqx.field(static=True)
     p: dict[str, Any]
 
     def __init__(self, function: Callable[[Any, Any], Any], parameters: dict[str, Any]):
@@ -84,12 +86,17 @@ class Parametrised(AbstractSignal):
                 "signal: expected a function of time and parameters, such as lambda t, p: p.rate * t; "
                 f"received {type(function).__name__} {function!r}."
             )
-        self.function = function
         self.p = {name: _parameter(name, value) for name, value in parameters.items()}
+        over = {name: one.over(0.0, 1.0) if isinstance(one, AbstractSignal) else one for name, one in self.p.items()}
+        self.function = OwnFunction("The function of a signal", partial(_value, function), (0.0, over))
 
     @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
-        return jnp.asarray(self.function(t, SimpleNamespace(**self.p)), dtype=float)
+        return self.function(t, self.p)
+
+
+def _value(function: Callable[[Any, Any], Any], t: Any, parameters: dict[str, Any]) -> Float[Array, "..."]:
+    return jnp.asarray(function(t, SimpleNamespace(**parameters)), dtype=float)
 
 
 def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Parametrised:
@@ -100,9 +107,9 @@ def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Paramet
     function is written with `jax.numpy`, for one instant `t` in seconds. Uncertain coefficients of given functions of
     time also make a random process; `RandomProcess` makes one from its covariance.
 
-    The function is part of a problem's structure: define it once and reuse it, and it is compiled once.
+    The function is traced here, once: to change its code, make the signal again.
 
-    Raises `ProblemError` if `function` is not a function, or for a parameter of any other kind.
+    Raises `ProblemError` if `function` is not a function of both, or raises, and for a parameter of any other kind.
     """
     return Parametrised(function, parameters)
 

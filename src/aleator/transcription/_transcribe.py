@@ -10,7 +10,7 @@ import numpy as np
 from aleator._core.border import one_of, refusal, shown
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription.sequential import Sequential
@@ -37,9 +37,8 @@ def transcribe(
     `meanwhile` is called just before compilation, to begin work in parallel; what it returns completes this.
 
     A problem that was transcribed recently, such as for a solve from another start, is reused. Raises `ProblemError`
-    if the problem has no decisions, or if functions of one's own in it have changed since it was declared.
+    if the problem has no decisions.
     """
-    refuse_changed_code(problem)
     instead = "Limits are held for all of its values by al.solve, and by what makes each of its steps such a solve."
     refuse_intervals(type(problem).__name__, problem.placements, instead)
     numbers = jax.tree.leaves(problem)

@@ -16,7 +16,6 @@ from aleator.design import (
     history,
     instants_at,
     is_over_time,
-    refuse_changed_code,
     responses,
     uncertain,
     unsolved,
@@ -64,7 +63,6 @@ class Systems:
     """
 
     def __init__(self, solution: Solution, who: str):
-        refuse_changed_code(solution.problem)
         self.problem = uncertain(solution.problem)
         remedy = "Ask this of the design at single values of the intervals, solution.over_intervals."
         refuse_intervals(who, self.problem.placements, remedy)
