@@ -1,3 +1,8 @@
+"""Answers on grids that are too coarse for them."""
+
+import pytest
+
+import aleator as al
 
 
 class Runaway(al.System):

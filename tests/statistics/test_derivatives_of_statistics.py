@@ -33,6 +33,7 @@ STATISTICS = [
     statistics.Quantile(0.9),
     statistics.CornishFisher(0.99),
     statistics.Probability(above=0.3),
+    statistics.Widened(statistics.Probability(above=0.3), 2.0),
     statistics.ConditionalValueAtRisk(0.9),
     statistics.Supremum(),
     statistics.Infimum(),

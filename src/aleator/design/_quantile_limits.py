@@ -52,8 +52,8 @@ class LimitedProbability(NamedTuple):
 def limited_probability(limit: Constraint) -> LimitedProbability | None:
     """The probability that a limit bounds; None if it bounds something else, a range, or every instant."""
     expression, ends = limit.expression, [float(end) for end in (limit.lower, limit.upper)]
-    (first, *others) = {end for end in ends if np.isfinite(end)}
-    if len(expression.atoms) != 1 or others or expression.is_path:
+    bounds = {end for end in ends if np.isfinite(end)}
+    if len(expression.atoms) != 1 or len(bounds) != 1 or expression.is_path:
         return None
     (atom,), factor, constant = expression.atoms, float(expression.factors[0]), float(expression.constant)
     kind = atom.kind if isinstance(atom, Statistic) else None
@@ -64,7 +64,7 @@ def limited_probability(limit: Constraint) -> LimitedProbability | None:
         return None
     sides = [bool(np.isfinite(end)) for end in (ends if factor < 0 else ends[::-1])]
     parts = atom.functionals[0], kind, thresholds[0], kind.above is None, factor, constant
-    return LimitedProbability(*parts, (first - constant) / factor, *sides)
+    return LimitedProbability(*parts, (bounds.pop() - constant) / factor, *sides)
 
 
 def in_quantiles(problem: Problem) -> Problem:
