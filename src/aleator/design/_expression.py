@@ -219,7 +219,7 @@ class Constraint(Module):
     upper: Scalar
     name: str = eqx.field(static=True)
     has_own_name: bool = eqx.field(static=True)
-    declared: "Constraint | None" = None
+    declared: "Constraint | None"
 
     def __init__(
         self,
@@ -229,7 +229,7 @@ class Constraint(Module):
         upper: Scalar = np.inf,
         name: str | None = None,
     ):
-        self.expression = as_expression(expression)
+        self.expression, self.declared = as_expression(expression), None
         self.name = self.subject if name is None else a_name("Constraint: name", name)
         self.has_own_name = name is not None
         self.lower, self.upper = ordered(self.name, lower, upper)
