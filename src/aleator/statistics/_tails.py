@@ -58,7 +58,7 @@ class AbstractTail(AbstractStatistic):
         self, coefficients: Float[np.ndarray, "terms *shape"], constants: AnyLines
     ) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
         """The statistic by lines, and the 95 % half-width of its integral over the expansion, which is known."""
-        known = sloped(self, coefficients, constants, by_lines_alone=True)
+        known = sloped(self, np.asarray(coefficients), constants, by_lines_alone=True)
         return known.values, known.errors
 
     @abc.abstractmethod
