@@ -202,3 +202,18 @@ def test_where_many_controls_begin_at_their_bounds_the_search_goes_on_by_interio
         subject_to=[al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
     )
     assert al.solve(problem).objective == pytest.approx(2.0, rel=1e-6)
+
+
+class Reciprocal(al.AlgebraicSystem):
+    x: al.Number
+
+    def outputs(self):
+        return {"cost": self.x + 1 / self.x}
+
+
+@pytest.mark.parametrize("start", [10.0, 100.0])
+@pytest.mark.parametrize("bounds", [(1e-3, 1e6), (1e-2, 1e7), (0.0, 1e7)])
+def test_bounds_that_are_far_apart_do_not_tell_how_large_a_decision_is(bounds, start):
+    solution = al.solve(al.Problem(Reciprocal(al.Decision(start, *bounds)), minimize=al.output("cost").mean))
+    assert float(solution.decisions["x"]) == pytest.approx(1.0, rel=1e-4)
+    assert not solution.at_bounds

@@ -51,6 +51,13 @@ def roots(values):
     return np.sqrt(np.maximum(values - VARIANCE, 0.0))
 
 
+class Size(al.AlgebraicSystem):
+    x: al.Number
+
+    def outputs(self):
+        return {"square": self.x**2, "reciprocal": 1 / self.x}
+
+
 def test_a_convex_front_is_that_of_the_closed_form_and_weights_are_its_slopes():
     # Best between (1, 0, 0) and (0, 2, 0): on the line, where both distances add up to its length.
     found = al.trade_off(near(HERE, THERE), WISHES, 5)
@@ -182,3 +189,10 @@ def test_a_design_that_is_equal_in_one_wish_and_worse_in_another_is_dominated():
     points = np.array([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0], [1.0, 1e-4]])
     assert efficient(points, np.full(2, 1e-2)).tolist() == [True, False, True, True]
     assert efficient(points, np.full(2, 1e-5)).tolist() == [True, False, True, False]
+
+
+def test_the_ends_of_a_front_over_many_magnitudes_are_the_best_designs_of_the_wishes():
+    """Of x² and 1/x for x from 1e-3 to 1e3."""
+    problem = al.Problem(Size(al.Decision(10.0, 1e-3, 1e3)), minimize=al.output("square").mean)
+    front = al.trade_off(problem, {name: al.output(name).mean for name in ("square", "reciprocal")}, 4)
+    assert front.values[[0, -1]] == pytest.approx(np.array([[1e-6, 1e3], [1e6, 1e-3]]), rel=2e-3)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, a_name, one_of, real_array, silent
+from aleator._core.border import Progress, a_name, one_of, real_array, refusal, silent
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
@@ -148,7 +148,10 @@ def pareto(
     """
     one_of("pareto: problem", problem, Problem)
     a_name("pareto: bound", bound)
-    bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
+    numbers = real_array("pareto: values", values)
+    if numbers.ndim > 1:
+        raise refusal("pareto: values", "one number a point (give the sides of a range names of their own)", values)
+    bounds = list(dict.fromkeys(np.ravel(numbers).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     problems = {value: problem.with_bound(bound, value) for value in bounds}

@@ -31,9 +31,9 @@ Start: TypeAlias = Solution | Mapping[str, Any] | None
 
 # A wish of a smaller range, as a part of its magnitude, is constant; an improvement by less of the range is none.
 _CONSTANT, _SAME = 1e-9, 1e-5
-# What a wish may give up, as a part of its range, while the others are improved. An improvement that is not many times
-# what the price of the wish makes of that has been bought by it.
-_GIVEN_UP, _BOUGHT, _STEEPER = 1e-7, 20.0, 1.1
+# What a wish may give up, as a part of its range and of its least value, while the others are improved. An improvement
+# that is not many times what the price of the wish makes of that has been bought by it.
+_GIVEN_UP, _OF_LEAST, _LEAST_SLACK, _BOUGHT, _STEEPER = 1e-7, 1e-3, 1e-11, 20.0, 1.1
 # Lines that are nearer to one another, or to a design, as parts of the whole, are the same.
 _NARROWEST = 1e-3
 # Anchors whose differences span less than this part of their range in some direction lie on no simplex.
@@ -241,13 +241,15 @@ class Search:
     def _improved(self, which: int, scales: Float[np.ndarray, " wishes"]) -> Design:
         """The best design of a wish after the others were improved while it is held, with the prices there."""
         alone, others = self.designs[which], np.arange(self.count) != which
-        most = np.where(others, np.inf, scales * alone.values + _GIVEN_UP)
+        least = scales[which] * alone.values[which]
+        slack = float(np.clip(_OF_LEAST * abs(least), _LEAST_SLACK, _GIVEN_UP)) if least else _GIVEN_UP
+        most = np.where(others, np.inf, scales * alone.values + slack)
         held = self.wishes.compromise(scales, most, direction=0.0, shares=others.astype(float))
         design, _ = self._sought(held, alone.solution.decisions)
         if design is None:
             return alone
         better = float((scales * (alone.values - design.values))[others].sum())
-        bought = design.weights[which] / scales[which] * _GIVEN_UP
+        bought = design.weights[which] / scales[which] * slack
         if better > max(_SAME, _BOUGHT * bought):
             return design
         # Where much more was bought than by a constant price, the front is ever steeper towards its end.

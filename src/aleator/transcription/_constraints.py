@@ -37,6 +37,8 @@ _TRIED = 8
 _MOST_BOUNDS, _MOST_SIZES, _BEYOND = 1e3, 1e2, 10.0
 # The largest size over the spread of what is limited.
 _MOST_SPREADS = 1e4
+# Ranges of more starts than this, and bounds of more than this ratio, do not tell how large a decision is.
+_LOOSE, _RATIO = 1e3, 1e2
 # The effect of rounding of the decisions on a constraint, in rounding errors of its own terms.
 _ROUNDINGS = 4.0
 NOISE = 1e-13
@@ -226,10 +228,15 @@ def _is_never_negative(atom: AbstractAtom, certain: bool) -> bool:
 def decision_scales(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Float[np.ndarray, " n"]:
     """A typical magnitude of each decision: its start, or a tenth of its range if that is larger.
 
-    A range of 1e15 starts, or of 1e15 if these are small, says no more than a missing bound does.
+    Bounds that are far apart say little. A tenth of a range counts up to a thousand starts, unless these are zero; not
+    at all between bounds of one sign of which one is more than a hundred times the other, such as 1e-3 and 1e6, nor if
+    the range is 1e15.
     """
-    span = upper - lower
-    scale = np.maximum(np.abs(start), np.where(span < UNBOUNDED * np.maximum(1.0, np.abs(start)), 0.1 * span, 0.0))
+    span, size, ends = upper - lower, np.abs(start), np.abs([lower, upper])
+    tenth = np.where(span < UNBOUNDED * np.maximum(1.0, size), 0.1 * span, 0.0)
+    tenth = np.where(size > 0, np.minimum(tenth, _LOOSE * size), tenth)
+    is_ratio = (np.sign(lower) == np.sign(upper)) & (ends.max(axis=0) > _RATIO * ends.min(axis=0))
+    scale = np.maximum(size, np.where(is_ratio, 0.0, tenth))
     return np.where(scale > 0, scale, 1.0)
 
 

@@ -39,8 +39,9 @@ from aleator.expansion import (
 from aleator.statistics import AbstractStatistic, AbstractTail, Constants, Mean, Std
 from aleator.uncertainty import named_numbers
 
-# A derivative that varies by less than this part of itself, or of how its output does, does not vary.
-_INTEGRATED = 1e-6
+# A derivative that varies by less than the first part of itself, or of how its output does, does not vary: that is the
+# ripple of a peak among instants. The second part is that of an integrator.
+_ALIKE, _INTEGRATED = 1e-2, 1e-6
 # So many outputs have each statistic by themselves.
 _FEW = 4
 
@@ -311,4 +312,4 @@ def _errors_of(
     each = (mean_squares(collocation, one, collocation.coefficients(one)) for one in map(np.asarray, tangents))
     error, variance, square = np.array([[part.sum() for part in squares] for squares in each]).T
     least = np.maximum(spread, (ROUNDING / _INTEGRATED) ** 2 * size)
-    return np.asarray(relative_error(error, variance, np.maximum(square, least), rounding=_INTEGRATED))
+    return np.asarray(relative_error(error, variance, np.maximum(square, least), rounding=_ALIKE))
