@@ -92,8 +92,11 @@ class Search(NamedTuple):
                 wide = _simulated(transcribed, problem)
             except ProblemError:  # Histories on a fine mesh may not fit into memory.
                 return outcome
-            decisions = wide.decisions(self.run(wide, decisions, None).point)
-        further = self.run(transcribed, transcribed.point(decisions), None)
+            within = self.run(wide, decisions, None, goes_on=True)
+            outcome, decisions = outcome.with_effort_of(within), wide.decisions(within.point)
+            if within.status is Status.INTERRUPTED:
+                return replace(outcome, status=Status.INTERRUPTED)
+        further = self.run(transcribed, transcribed.point(decisions), None, goes_on=True)
         is_worse = further.status in UNSOLVED and further.violation > max(outcome.violation, HELD)
         return outcome.with_effort_of(further) if is_worse else further.with_effort_of(outcome)
 
@@ -111,11 +114,11 @@ class Search(NamedTuple):
             within = search.run(transcribed, point, None, box)
             outcome = outcome.with_effort_of(within)
             if within.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
+                return replace(outcome, status=Status.INTERRUPTED)
             is_solved, end = within.status is Status.SOLVED, within.point
             walls = ((end <= lower) & (lower > program.lower)) | ((end >= upper) & (upper < program.upper))
             if is_solved and not walls.any():
-                return self.run(transcribed, end, within.multipliers).with_effort_of(outcome)
+                return self.run(transcribed, end, within.multipliers, goes_on=True).with_effort_of(outcome)
             point, radius = (end, 2 * radius) if is_solved else (point, radius / 4)
         return outcome
 
