@@ -147,8 +147,6 @@ class Search(NamedTuple):
             simulated = _simulated(transcribed, transcribed.problem)
         except ProblemError:  # Histories on a fine mesh may not fit into memory.
             return outcome
-        if transcribed.scenarios is not None:
-            simulated = simulated.at_scenarios(transcribed.scenarios)
         solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), rows_by_name(simulated)
         start = [simulated.program.start]
         least = least_excess(solver, simulated.program, groups, (), range(len(groups)), start)
@@ -173,8 +171,10 @@ class Search(NamedTuple):
 
 
 def _simulated(transcribed: AbstractTranscribed, problem: Problem) -> AbstractTranscribed:
-    """A problem with its states simulated, and the bounds of another transcription on its decisions."""
+    """A problem with its states simulated, and another transcription's scenarios and bounds of decisions."""
     simulated, bounds = transcribe(problem), (transcribed.program.lower, transcribed.program.upper)
+    if transcribed.scenarios is not None:
+        simulated = simulated.at_scenarios(transcribed.scenarios)
     lower, upper = map(transcribed.decisions, bounds)
     return replace(simulated, program=replace(simulated.program, lower=lower, upper=upper))
 
