@@ -116,7 +116,7 @@ def test_runs_are_compared_by_their_numbers(here: Path, finished: Path):
     (here / "copy/designs.json").write_text(json.dumps(designs))
     told = said(aleator("compare", "results", "copy", "other"))
     assert "designs/robust: results and copy differ in the equations of the model." in told
-    assert "designs/nominal: other does not have it." in told
+    assert "designs/nominal: other names no such design." in told
 
 
 def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(

@@ -1,6 +1,7 @@
 """Where fresh simulations contradict what an expansion says, evidence sounds the alarm; where they agree, none."""
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ import aleator as al
 from aleator.validation import Compared
 from aleator.validation._batches import Sums
 from aleator.validation._tally import reach, worst_disagreement
+from zoo import algebraic
 
 X, UNIFORM = al.output("x"), al.Uniform(0.0, half_width=1.0)
 RESPONSES = {
@@ -169,3 +171,22 @@ def test_what_is_no_number_disagrees_and_without_a_standard_error_there_is_no_ve
 ):
     numbers = (np.asarray(one) for one in (expected, estimate, error))
     assert (worst_disagreement("x", *numbers, samples=100, freedom=99) is None) is agrees
+
+
+@algebraic
+def gap(hole, shaft):
+    return {"gap": hole - shaft}
+
+
+def test_tails_beyond_the_zones_of_parts_do_not_contradict_their_worst_case():
+    hole, shaft = al.Toleranced(al.Decision(5.0, 4.0, 6.0), tolerance=0.3), al.Toleranced(4.5, tolerance=0.1)
+    limit = al.output("gap").at_least(0.05, worst_case=True)
+    problem = al.Problem(gap(hole, shaft), minimize=al.output("gap").mean, subject_to=[limit])
+    solution = al.solve(problem)
+    evidence = al.validate(solution, 20_000)
+    assert evidence.violations["gap"].count > 0
+    assert evidence.agrees
+    # A hole that is smaller than the design's is beyond them in more systems than have a part outside of its zone.
+    moved = replace(solution, decisions={"hole.nominal": 4.8}, vector=np.array([4.8]))
+    with pytest.warns(al.ExpansionWarning, match="as by the zones of its numbers"):
+        al.validate(moved, 20_000)

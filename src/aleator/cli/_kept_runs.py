@@ -95,7 +95,7 @@ def compare(terminal: Terminal, folders: list[Path]) -> int:
         for other, differing in differences[name].items():
             if differing is None:
                 absent = [label for label in (first, other) if row[label] is None]
-                terminal.tell(f"{name}: {words(absent)} {'does' if len(absent) == 1 else 'do'} not have it.")
+                terminal.tell(f"{name}: {words(absent)} {'names' if len(absent) == 1 else 'name'} no such design.")
             else:
                 how = f"differ in {words(differing)}" if differing else "are equal"
                 terminal.tell(f"{name}: {first} and {other} {how}.")

@@ -216,8 +216,23 @@ def _limits(evidence: Evidence) -> Iterator[Disagreement]:
         share = evidence.violations.get(limit.name)
         atoms = (atom for atom in limit.expression.atoms if isinstance(atom, Statistic))
         for_all = is_worst_case(limit) or any(isinstance(atom.kind, Supremum | Infimum) for atom in atoms)
-        if share is not None and share.count and for_all:
-            yield Disagreement(f"The share of systems that break '{limit.name}'", 0.0, share.estimate, np.nan)
+        if share is None or not for_all:
+            continue
+        outside = _outside(evidence.solution.problem)
+        if Proportion(share.count, share.samples, confidence=1 - _RARE).lower > outside:
+            source = "the zones of its numbers" if outside > _ROUNDING else "the expansion"
+            text = f"The share of systems that break '{limit.name}'"
+            yield Disagreement(text, outside, share.estimate, np.nan, source=source)
+
+
+def _outside(problem: Problem) -> float:
+    """The probability of a number outside of its zone, where a limit for all systems says nothing; 0 without zones."""
+    ends = (
+        germ.cumulative(np.array(one.reach()))
+        for place, one in problem.placements.distributions.items()
+        for germ in one.germs(place).values()
+    )
+    return 1 - math.prod(float(high - low) for low, high in ends)
 
 
 # --- Comparisons -----------------------------------------------------------------------------------------------------
