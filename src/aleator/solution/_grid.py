@@ -131,6 +131,8 @@ class GridError(Printed):
 TOLERATED = 1e-3
 """Largest relative excess of a limit between instants with which a design still counts as a solution."""
 
+# What tightened bounds may cost at most without a word.
+_TOLD = 0.01
 COSTLY = 0.05
 """The largest cost of margins that is accepted without a warning."""
 
@@ -177,7 +179,7 @@ class Between(Printed):
     def __str__(self) -> str:
         if self.holds:
             cost = f"{self.cost:.2g} of the objective: use more steps"
-            tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if self.is_costly else ""
+            tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if self.cost > _TOLD else ""
             nearly = f" to {self.worst:.1g} of their bounds" if self.worst > HELD else ""
             return f"limits over time hold{nearly} on {self.factor} times as many steps too{tightened}"
         when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"
