@@ -1,3 +1,5 @@
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
@@ -146,3 +148,26 @@ def test_a_bound_may_be_a_number_of_the_model(limit, width, printed):
     problem = al.Problem(model, minimize=MASS.mean, subject_to=[limit])
     assert str(limit) == printed
     assert float(optimum(problem).decisions["width"]) == pytest.approx(width, rel=1e-6)
+
+
+class Thrown(al.System):
+    """A body that is thrown up and lands at an event."""
+
+    states = ("h", "v")
+    events: ClassVar = {"ground": al.Event(lambda self, t, z: z.h, direction=-1)}
+    speed: al.Number
+
+    def initial(self):
+        return {"h": 1.0, "v": self.speed}
+
+    def rhs(self, t, z):
+        return z.v, -9.81
+
+    def outputs(self, t, z):
+        return {"h": z.h}
+
+
+def test_the_latest_end_of_a_grid_that_an_event_ends_is_no_final_time():
+    grid = al.Grid(until="ground", at_most=10.0, steps=20)
+    with pytest.raises(al.ProblemError, match=r"the time of the event is al.at\('ground'\)"):
+        al.Problem(Thrown(al.Decision(1.0, 0.1, 3.0)), grid=grid, minimize=al.objectives.final_time())

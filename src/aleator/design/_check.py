@@ -213,10 +213,16 @@ def _check_values(problem: AbstractProblem) -> None:
         remedy = "Solve for each whole number or row, declared as a number."
         refuse_intervals("Problem with al.Integer or al.Choice", problem.placements, remedy)
     numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
-    for expression in problem.expressions:
-        for atom in expression.leaves:
-            if isinstance(atom, Value) and atom.name not in numbers:
-                raise ProblemError(unknown("number of the model", atom.name, list(numbers)))
+    names = (one.name for expression in problem.expressions for one in expression.leaves if isinstance(one, Value))
+    for name in names:
+        if name not in numbers:
+            raise ProblemError(unknown("number of the model", name, list(numbers)))
+        until = getattr(problem.grid.of(name), "until", None) if name.rpartition(".")[2] == "t_final" else None
+        if until is not None:
+            raise ProblemError(
+                f"'{name}' is the latest end of a grid that the event '{until}' ends, the same for all systems: the "
+                f"time of the event is al.at('{until}'), with statistics such as al.at('{until}').mean."
+            )
 
 
 def _check_germs(problem: AbstractProblem) -> None:
