@@ -1,5 +1,6 @@
 """Answers on grids that are too coarse for them."""
 
+import numpy as np
 import pytest
 
 import aleator as al
@@ -36,3 +37,35 @@ def test_a_limit_of_zero_is_as_large_as_what_it_limits_is_on_the_way_there(durat
     assert abs(float(finer["x"][-1])) > 1e-2
     assert not solution.ok
     assert "on a finer grid 'x'" in solution.why()
+
+
+class Settling(al.System):
+    """What dies out, at an uncertain rate, beside what is designed."""
+
+    states = ("x", "y")
+    rate: al.Number
+    d: al.Number
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z):
+        return -self.rate * z.x, self.d - z.y
+
+    def outputs(self, t, z):
+        return {"x": z.x, "y": z.y}
+
+
+def test_a_limit_far_inside_its_bound_does_not_hang_on_what_its_expansion_misses():
+    model = Settling(al.Uniform(4.0, half_width=2.5), al.Decision(0.5, 0.1, 3.0))
+    residual, level = al.terminal("x"), al.terminal("y").mean <= 1.0
+
+    def solved(bound):
+        limits = [residual.at_most(bound, sigmas=2).named("residual"), level]
+        problem = al.Problem(model, grid=al.Grid(8.0, 100), minimize=-al.value("d"), subject_to=limits)
+        with pytest.warns(al.ExpansionWarning, match="does not resolve x"):
+            return al.solve(problem, throw=False)
+
+    far = solved(1.0)
+    assert far.ok
+    assert float(far.decisions["d"]) == pytest.approx(1 / (1 - np.exp(-8.0)), rel=1e-6)

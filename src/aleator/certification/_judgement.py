@@ -14,7 +14,7 @@ from aleator import _core
 from aleator._core.errors import AleatorWarning, CorrelationWarning, ExpansionWarning, GridWarning
 from aleator.certification._check import Check
 from aleator.certification._grids import at_half_width
-from aleator.certification._limits import constraint_results, statistics_at
+from aleator.certification._limits import constraint_results, statistics_at, within_reach_of_errors
 from aleator.certification._moving_jumps import unfollowed_jumps
 from aleator.certification._second_opinion import second_opinion
 from aleator.design import (
@@ -207,7 +207,7 @@ def _untrusted(solution: Solution) -> str:
     trusted = max(quality.tolerance, _TRUSTED)
     # By how many times what is tolerated something is missed, and what.
     missed = [(1.0, "")]
-    for one in statistics_in(problem.expressions):
+    for one in statistics_in((problem.objective, *within_reach_of_errors(solution))):
         most = trusted if isinstance(one.kind, _MOMENTS) else quality.tolerance
         for text in (functional.text() for functional in one.functionals):
             error = quality.leave_one_out.get(text, 0.0)

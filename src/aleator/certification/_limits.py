@@ -10,6 +10,9 @@ from jaxtyping import Float
 from aleator.design import (
     AbstractFunctional,
     Constraint,
+    Expression,
+    Statistic,
+    Value,
     as_declared,
     functionals_of,
     limited_probability,
@@ -17,9 +20,12 @@ from aleator.design import (
     statistics_in,
 )
 from aleator.nlp import Outcome
-from aleator.solution import ConstraintResult
-from aleator.statistics import Sloped, sloped
+from aleator.solution import ConstraintResult, Solution
+from aleator.statistics import Sloped, Std, sloped
 from aleator.transcription import AbstractTranscribed, as_read, bound_size
+
+# A limit that is so many times as far inside of its bound as the errors of its statistics does not hang on them.
+_FAR_INSIDE = 100.0
 
 
 def constraint_results(transcribed: AbstractTranscribed, outcome: Outcome) -> Iterator[ConstraintResult]:
@@ -82,3 +88,20 @@ def _tail(
     each = zip(functionals_of(transcribed.problem.expressions), transcribed.at(point).samples, strict=True)
     coefficients = transcribed.collocation.coefficients(dict(each)[functional])
     return sloped(kind, np.asarray(coefficients), transcribed.constants.of(kind))
+
+
+def within_reach_of_errors(solution: Solution) -> Iterator[Expression]:
+    """The limits that errors of expansions may decide: not those that are many times as far from their bounds."""
+    errors, moments = solution.certificate.expansion.leave_one_out, solution.moments
+    for limit, result in zip(solution.problem.constraints, solution.constraints, strict=True):
+        reach = 0.0
+        for factor, atom in zip(limit.expression.factors, limit.expression.atoms, strict=True):
+            if isinstance(atom, Statistic) and (atom.kind.speaks_of_one_system or isinstance(atom.kind, Std)):
+                texts = (one.text() for one in atom.functionals)
+                reach += sum(
+                    abs(float(factor)) * errors.get(one, 0.0) * float(np.max(moments[one].std)) for one in texts
+                )
+            elif not isinstance(atom, Value):
+                reach = np.inf
+        if not float(np.max(result.excess)) < -_FAR_INSIDE * reach:
+            yield limit.expression
