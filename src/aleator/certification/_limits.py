@@ -97,10 +97,8 @@ def within_reach_of_errors(solution: Solution) -> Iterator[Expression]:
         reach = 0.0
         for factor, atom in zip(limit.expression.factors, limit.expression.atoms, strict=True):
             if isinstance(atom, Statistic) and (atom.kind.speaks_of_one_system or isinstance(atom.kind, Std)):
-                texts = (one.text() for one in atom.functionals)
-                reach += sum(
-                    abs(float(factor)) * errors.get(one, 0.0) * float(np.max(moments[one].std)) for one in texts
-                )
+                for text in (one.text() for one in atom.functionals):
+                    reach += abs(float(factor)) * errors.get(text, 0.0) * float(np.max(moments[text].std))
             elif not isinstance(atom, Value):
                 reach = np.inf
         if not float(np.max(result.excess)) < -_FAR_INSIDE * reach:

@@ -178,10 +178,8 @@ class Between(Printed):
 
     def __str__(self) -> str:
         if self.holds:
-            cost = f"{self.cost:.2g} of the objective: use more steps"
-            tightened = (
-                f", by bounds tightened at the instants, which may cost up to {cost}" if self.cost > _TOLD else ""
-            )
+            cost = f"may cost up to {self.cost:.2g} of the objective: use more steps"
+            tightened = f", by bounds tightened at the instants, which {cost}" if self.cost > _TOLD else ""
             nearly = f" to {self.worst:.1g} of their bounds" if self.worst > HELD else ""
             return f"limits over time hold{nearly} on {self.factor} times as many steps too{tightened}"
         when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"

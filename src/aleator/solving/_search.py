@@ -86,11 +86,8 @@ class Search(NamedTuple):
         decisions = transcribed.decisions(start)
         for factor in _WIDER:
             problem = widened(transcribed.problem, factor)
-            if problem is None:
-                return outcome
-            try:
-                wide = _simulated(transcribed, problem)
-            except ProblemError:  # Histories on a fine mesh may not fit into memory.
+            wide = None if problem is None else _simulated(transcribed, problem)
+            if wide is None:
                 return outcome
             within = self.run(wide, decisions, None, goes_on=True)
             outcome, decisions = outcome.with_effort_of(within), wide.decisions(within.point)
@@ -143,9 +140,8 @@ class Search(NamedTuple):
         is_shown = outcome.status is Status.INFEASIBLE and transcribed.states_at(outcome.point) is not None
         if outcome.violation <= HELD or outcome.strayed or is_shown:
             return outcome
-        try:
-            simulated = _simulated(transcribed, transcribed.problem)
-        except ProblemError:  # Histories on a fine mesh may not fit into memory.
+        simulated = _simulated(transcribed, transcribed.problem)
+        if simulated is None:
             return outcome
         solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), rows_by_name(simulated)
         start = [simulated.program.start]
@@ -170,12 +166,17 @@ class Search(NamedTuple):
         return replace(outcome, status=Status.INFEASIBLE, message=message + said)
 
 
-def _simulated(transcribed: AbstractTranscribed, problem: Problem) -> AbstractTranscribed:
-    """A problem with its states simulated, and another transcription's scenarios and bounds of decisions."""
-    simulated, bounds = transcribe(problem), (transcribed.program.lower, transcribed.program.upper)
+def _simulated(transcribed: AbstractTranscribed, problem: Problem) -> AbstractTranscribed | None:
+    """A problem with its states simulated, and another transcription's scenarios and bounds of decisions; None where
+    that is refused: histories on a fine mesh may not fit into memory.
+    """
+    try:
+        simulated = transcribe(problem)
+    except ProblemError:
+        return None
     if transcribed.scenarios is not None:
         simulated = simulated.at_scenarios(transcribed.scenarios)
-    lower, upper = map(transcribed.decisions, bounds)
+    lower, upper = map(transcribed.decisions, (transcribed.program.lower, transcribed.program.upper))
     return replace(simulated, program=replace(simulated.program, lower=lower, upper=upper))
 
 

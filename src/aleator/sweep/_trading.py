@@ -31,8 +31,9 @@ Start: TypeAlias = Solution | Mapping[str, Any] | None
 
 # A wish of a smaller range, as a part of its magnitude, is constant; an improvement by less of the range is none.
 _CONSTANT, _SAME = 1e-9, 1e-5
-# What a wish may give up, as a part of its range and of its least value, while the others are improved. An improvement
-# that is not many times what the price of the wish makes of that has been bought by it.
+# What a wish may give up, as a part of its range and of its least value, while the others are improved, though not less
+# of its range than counts as rounding. An improvement that is not many times what the price of the wish makes of that
+# has been bought by it.
 _GIVEN_UP, _OF_LEAST, _LEAST_SLACK, _BOUGHT, _STEEPER = 1e-7, 1e-3, 1e-11, 20.0, 1.1
 # Lines that are nearer to one another, or to a design, as parts of the whole, are the same.
 _NARROWEST = 1e-3
