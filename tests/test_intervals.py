@@ -10,7 +10,7 @@ from scipy.stats import norm, weibull_min
 
 import aleator as al
 from compiling import compiled
-from zoo import Decay
+from zoo import Decay, Oscillator, sine
 
 SPREAD = 0.2
 
@@ -96,6 +96,21 @@ def test_an_objective_is_its_worst_value_over_the_interval():
     ends = {round(float(one.vector[-1]), 6): one.objective for one in solution.over_intervals}
     assert ends[-1.0] == pytest.approx(1.5**2, abs=1e-5)
     assert ends[2.0] == pytest.approx(1.5**2, abs=1e-5)
+
+
+def test_a_design_for_the_worst_damping_is_found_from_afar():
+    """The trough of an undamped oscillation is `-v / ω`, and its search ends between two instants on the way."""
+
+    class Struck(Oscillator):
+        def initial(self):
+            return {"v": self.x0}
+
+    system = Struck(1.0, al.Interval(0.0, 4.0), al.Decision(30.0, 5.0, 300.0), al.Normal(1.0, 0.05))
+    limit, still = al.path("x").within(-0.1, 0.12, sigmas=2), {"force": sine(0.0)}
+    problem = al.Problem(system, grid=al.Grid(1.0, 40), inputs=still, minimize=al.value("k"), subject_to=[limit])
+    with pytest.warns(al.GridWarning, match="tolerated"):
+        solution = al.solve(problem)
+    assert solution.decisions["k"] == pytest.approx((1.1 / 0.1) ** 2, rel=1e-4)
 
 
 def test_a_parameter_of_a_distribution_may_be_an_interval():

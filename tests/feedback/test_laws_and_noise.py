@@ -199,3 +199,36 @@ def test_a_noisy_problem_can_be_declared_anew():
 def test_what_is_wrong_is_said_in_a_sentence(sentence):
     with pytest.raises(al.ProblemError, match=sentence):
         WRONG[sentence]()
+
+
+def test_expansions_beside_noise_are_judged_by_the_whole_spread():
+    """A transient of 1e-11 that order 3 misses says nothing of a spread of 0.1 that noise causes."""
+
+    class Filter(al.System):
+        states = ("x",)
+        rate: al.Number
+
+        def initial(self):
+            return {"x": 1.0}
+
+        def rhs(self, t, z, w):
+            return (-self.rate * z.x + w,)
+
+        def outputs(self, t, z):
+            return {"x": z.x}
+
+    solution = al.solve(
+        al.Problem(
+            Filter(al.Uniform(al.Decision(6.0, 2.0, 20.0), half_width=1.5)),
+            grid=al.Grid(4.0, 200),
+            inputs={"w": al.processes.WhiteNoise(0.1)},
+            minimize=al.value("rate.mean"),
+            subject_to=[al.terminal("x").std <= 0.1],
+        )
+    )
+
+    def excess(mean):  # the variance, that of noise averaged over rates, over its bound
+        return 0.1 / 2 * np.log((mean + 1.5) / (mean - 1.5)) / 3.0 - 0.01
+
+    assert solution.decisions["rate.mean"] == pytest.approx(scipy.optimize.brentq(excess, 2, 20), rel=1e-4)
+    assert solution.certificate.expansion.leave_one_out["x(t_f)"] < 1e-3

@@ -18,6 +18,7 @@ from aleator.design import (
     limited_probability,
     path_of,
     statistics_in,
+    variances_by_noise,
 )
 from aleator.nlp import Outcome
 from aleator.solution import ConstraintResult, Solution
@@ -92,13 +93,17 @@ def _tail(
 
 def within_reach_of_errors(solution: Solution) -> Iterator[Expression]:
     """The limits that errors of expansions may decide: not those that are many times as far from their bounds."""
-    errors, moments = solution.certificate.expansion.leave_one_out, solution.moments
+    errors, noise = solution.certificate.expansion.leave_one_out, variances_by_noise(solution.problem.expressions)
+
+    def missed(one: AbstractFunctional) -> float:
+        by_noise = solution.moments[noise[one].text()].mean if one in noise else 0.0
+        return errors.get(one.text(), 0.0) * float(np.sqrt(np.max(solution.moments[one.text()].std ** 2 + by_noise)))
+
     for limit, result in zip(solution.problem.constraints, solution.constraints, strict=True):
         reach = 0.0
         for factor, atom in zip(limit.expression.factors, limit.expression.atoms, strict=True):
             if isinstance(atom, Statistic) and (atom.kind.speaks_of_one_system or isinstance(atom.kind, Std)):
-                for text in (one.text() for one in atom.functionals):
-                    reach += abs(float(factor)) * errors.get(text, 0.0) * float(np.max(moments[text].std))
+                reach += abs(float(factor)) * sum(map(missed, atom.functionals))
             elif not isinstance(atom, Value):
                 reach = np.inf
         if not float(np.max(result.excess)) < -_FAR_INSIDE * reach:

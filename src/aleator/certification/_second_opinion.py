@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +18,7 @@ from aleator._core.arrays import jax_array
 from aleator.certification._check import NEGLIGIBLE_SPREAD, Check, Checked
 from aleator.certification._systems import OF_THE_SHAPE, FreshSystems, fresh_systems, has_shape, systems_of
 from aleator.certification._tails import KnownStatistics, tail_objections
-from aleator.design import Statistic, expanded_functionals
+from aleator.design import Statistic, expanded_functionals, variances_by_noise
 from aleator.ensemble import inputs_at, listed
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
@@ -98,7 +99,9 @@ def _opinion(check: Check, chance: float) -> tuple[SecondOpinion, bool]:
         for one in expanded_functionals(check.problem.expressions)
         if not check.functionals[one].is_certain
     }
-    misses = {text: _miss(one) for text, one in fresh.items()}
+    noise = variances_by_noise(check.problem.expressions)
+    by_noise = {one.text(): check.functionals[own].mean[check.own(own)] for one, own in noise.items()}
+    misses = {text: _miss(one, by_noise.get(text, 0.0)) for text, one in fresh.items()}
     missed = [
         f"the expansion predicts fresh simulations of {text} with an error of {miss:.2g} of their standard deviation"
         for text, miss in misses.items()
@@ -123,11 +126,14 @@ def _without_value(check: Check) -> str:
     return ""
 
 
-def _miss(one: Checked) -> float:
-    """The rms error of predictions over the standard deviation, what they miss included, summed over entries."""
+def _miss(one: Checked, by_noise: Any) -> float:
+    """The rms error of predictions over the standard deviation, what they miss included, summed over entries.
+
+    - `by_noise`: what white noise adds to the variance.
+    """
     weights = _along(one.weights, one.fresh)
     missed = float(np.sum(weights * (one.fresh - one.predicted) ** 2) / np.sum(weights))
-    total = float(np.sum(one.std**2)) + missed
+    total = float(np.sum(one.std**2 + by_noise)) + missed
     return 0.0 if total == 0 else float(np.sqrt(missed / total))
 
 

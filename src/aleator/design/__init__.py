@@ -29,6 +29,7 @@ from aleator.design._functionals import path as path
 from aleator.design._functionals import peak as peak
 from aleator.design._functionals import rms as rms
 from aleator.design._functionals import terminal as terminal
+from aleator.design._noise import variances_by_noise as variances_by_noise
 from aleator.design._objectives import beside_integrals as beside_integrals
 from aleator.design._objectives import coefficient_power as coefficient_power
 from aleator.design._objectives import cost_curve as cost_curve

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
+from aleator.design._expression import Expression
 from aleator.design._functionals import Path, Terminal
 from aleator.design._response import AbstractProblem
-from aleator.design._statistic import Extreme, Statistic, functionals_of
+from aleator.design._statistic import AbstractFunctional, Extreme, Statistic, functionals_of, statistics_in
 from aleator.dynamics import System, initial_state, named
 from aleator.feedback import VARIANCE, Noisy
 from aleator.statistics import Mean, Std, Variance
@@ -42,6 +43,12 @@ def _told(atom: Any) -> Any:
         )
     variance = type(functional)((f"{functional.output}{VARIANCE}",))
     return Statistic((functional, variance), type(kind)(noisy=True))
+
+
+def variances_by_noise(expressions: tuple[Expression, ...]) -> dict[AbstractFunctional, AbstractFunctional]:
+    """What white noise adds to the variance, by the functional whose statistics it enters."""
+    noisy = (one.functionals for one in statistics_in(expressions) if getattr(one.kind, "noisy", False))
+    return {each[0]: each[1] for each in noisy}
 
 
 def refuse_infinite(problem: AbstractProblem) -> None:

@@ -32,9 +32,9 @@ from aleator.design import Peak, Problem, declared_anew, functionals_of, in_quan
 from aleator.ensemble import corners_of, spread_over
 from aleator.nlp import HELD, AbstractSearch, Evaluation, NonlinearProgram, Outcome, Status
 from aleator.solution import Solution, WorstCase, WorstRealisation
-from aleator.solving._search import looked_around
+from aleator.solving._search import UNSOLVED, looked_around
 from aleator.solving._stages import Stages
-from aleator.transcription import AbstractTranscribed, Remembered, Sequential, transcribe
+from aleator.transcription import AbstractTranscribed, Remembered, Sequential, rows_by_name, transcribe
 from aleator.uncertainty import Decision, at_values, intervals_of, with_decisions
 
 # The decision that is the objective's level, and the limit that holds it there.
@@ -84,6 +84,11 @@ class Game:
         """The rows of the limits that are imposed in a scenario."""
         parts = zip(self.transcribed.rows, scenario.imposed, strict=True)
         return np.flatnonzero(np.concatenate([np.full(rows.stop - rows.start, own) for rows, own in parts]))
+
+    def groups(self, scenarios: Sequence[Scenario]) -> list[tuple[Int[np.ndarray, " rows"], float]]:
+        """The rows of each name of limits in all scenarios together, with their size."""
+        every = np.concatenate(list(map(self.rows, scenarios)))
+        return [(np.flatnonzero(np.isin(every, rows)), size) for rows, size in rows_by_name(self.transcribed)]
 
     def program(self, single: NonlinearProgram, scenarios: Sequence[Scenario]) -> NonlinearProgram:
         """The limits of some scenarios in one program, in which the intervals are no variables: they are fixed.
@@ -230,6 +235,8 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
         if again.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         again = looked_around(joint, stages.search.solver.local, again, point) if outcome is None else again
+        if again.status in UNSOLVED and again.violation > HELD:
+            again = stages.search.by_least_excess(joint, again, joint, game.groups(scenarios))
         outcome = again if outcome is None else again.with_effort_of(outcome)
         if outcome.status is not Status.SOLVED:
             break

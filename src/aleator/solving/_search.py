@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, widened
@@ -141,9 +142,20 @@ class Search(NamedTuple):
         if outcome.violation <= HELD or outcome.strayed or is_shown:
             return outcome
         simulated = _simulated(transcribed, transcribed.problem)
-        if simulated is None:
-            return outcome
-        solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), rows_by_name(simulated)
+        return outcome if simulated is None else self.by_least_excess(transcribed, outcome, simulated)
+
+    def by_least_excess(
+        self,
+        transcribed: AbstractTranscribed,
+        outcome: Outcome,
+        simulated: AbstractTranscribed,
+        groups: list[tuple[Int[np.ndarray, " rows"], float]] | None = None,
+    ) -> Outcome:
+        """The same by a program whose states are simulated.
+
+        - `groups`: the rows of each name of limits in it, with their size; those of its problem by default.
+        """
+        solver, groups = replace(self.solver.local, max_iterations=_MOST_TO_LIMITS), groups or rows_by_name(simulated)
         start = [simulated.program.start]
         least = least_excess(solver, simulated.program, groups, (), range(len(groups)), start)
         if least.total <= HELD:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Constraint, Problem, functionals_of, history, path_of, statistics_in
+from aleator.design import Constraint, Problem, functionals_of, history, path_of, statistics_in, variances_by_noise
 from aleator.dynamics import Grid
 from aleator.expansion import AbstractBasis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
@@ -227,13 +227,15 @@ class AbstractTranscribed(abc.ABC):
 
     @cached_property
     def _resolved(self) -> Remembered[dict[str, Resolved]]:
-        functionals, parameters = functionals_of(self.problem.expressions), [*self.places.of_distributions.values()]
+        expressions, parameters = self.problem.expressions, [*self.places.of_distributions.values()]
+        functionals, noise = functionals_of(expressions), variances_by_noise(expressions)
         scales = self.program.variable_scale[self.decided][parameters]
 
         def at(point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
             tangents = (None if one is None else (one[parameters].T * scales).T for one in self.at(point).tangents)
-            parts = zip(functionals, self.at(point).samples, tangents, strict=True)
-            return {one.text(): resolved(one, self.collocation, own, moved) for one, own, moved in parts}
+            parts = dict(zip(functionals, zip(self.at(point).samples, tangents, strict=True), strict=True))
+            by_noise = {one: parts[variance] for one, variance in noise.items()}
+            return {one.text(): resolved(one, self.collocation, *parts[one], by_noise.get(one)) for one in parts}
 
         return Remembered(at)
 

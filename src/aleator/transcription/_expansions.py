@@ -276,40 +276,59 @@ def seen(samples: Any, is_path: bool) -> Any:
     return samples[:, :: -max(1, samples.shape[1] // _SEEN)] if is_path else samples
 
 
+Samples: TypeAlias = Float[np.ndarray, "points ..."]
+Tangents: TypeAlias = Float[np.ndarray, "parameters points ..."]
+"""Derivatives of samples (see `seen`) times the magnitudes of the decisions, in the functional's unit."""
+
+
 def resolved(
     functional: AbstractFunctional,
     collocation: Collocation,
-    samples: Float[np.ndarray, "points ..."],
-    tangents: Float[np.ndarray, "parameters points ..."] | None,
+    samples: Samples,
+    tangents: Tangents | None,
+    noise: tuple[Samples, Tangents | None] | None = None,
 ) -> Resolved:
     """The moments and the quality of a functional's expansion from its samples, by NumPy.
 
-    `tangents`: derivatives (see `seen`) times the magnitudes of the decisions, in the functional's unit.
+    - `noise`: the same of the variance that white noise adds. Errors are then relative to the whole spread.
     """
     known = np.asarray(samples)
     terms = collocation.coefficients(known)
-    squares = mean_squares(collocation, known, terms)
-    _, *at_seen = (seen(part.reshape(1, *samples.shape[1:]), functional.is_path).sum() for part in squares)
+    error, variance, square = mean_squares(collocation, known, terms)
+    by_noise = 0.0 * variance if noise is None else _mean(collocation, noise[0]).reshape(-1)
+    squares = error, variance + by_noise, square
+    spread, size = (seen(part.reshape(1, *samples.shape[1:]), functional.is_path).sum() for part in squares[1:])
+    moved = 0.0
+    if noise is not None and noise[1] is not None:
+        # Of the standard deviation by noise alone.
+        std = np.sqrt(np.maximum(seen(_mean(collocation, noise[0])[None], functional.is_path)[0], 0.0))
+        slopes = [_mean(collocation, one) / np.where(std > 0, 2 * std, np.inf) for one in noise[1]]
+        moved = np.array([np.sum(one**2) for one in slopes])
     return Resolved(
         mean=np.asarray(Mean().of(terms, ())),
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
-        tangents=None if tangents is None else _errors_of(collocation, tangents, *at_seen),
+        tangents=None if tangents is None else _errors_of(collocation, tangents, spread, size, moved),
     )
 
 
+def _mean(collocation: Collocation, samples: Samples) -> Float[np.ndarray, "..."]:
+    return np.asarray(collocation.coefficients(np.asarray(samples)))[0]
+
+
 def _errors_of(
-    collocation: Collocation, tangents: Float[np.ndarray, "parameters points ..."], spread: Any, size: Any
+    collocation: Collocation, tangents: Tangents, spread: Any, size: Any, moved: Any
 ) -> Float[np.ndarray, " parameters"]:
     """The leave-one-out error of each derivative of an output; zero where it varies by no more than the error of an
     integrator, as a part of itself or of how the output varies, or than the output's rounding.
 
     A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
 
-    - `spread`, `size`: the variance and the mean square of the output at the same instants, in all.
+    - `spread`, `size`: the variance and the mean square of the output at the same instants, in all;
+    - `moved`: the square of what white noise adds to each derivative of the standard deviation.
     """
     each = (mean_squares(collocation, one, collocation.coefficients(one)) for one in map(np.asarray, tangents))
     error, variance, square = np.array([[part.sum() for part in squares] for squares in each]).T
     least = np.maximum(spread, (ROUNDING / _INTEGRATED) ** 2 * size)
-    return np.asarray(relative_error(error, variance, np.maximum(square, least), rounding=_ALIKE))
+    return np.asarray(relative_error(error, variance + moved, np.maximum(square, least), rounding=_ALIKE))
