@@ -314,7 +314,7 @@ def resolved(
 
 
 def _mean(collocation: Collocation, samples: Samples) -> Float[np.ndarray, "..."]:
-    return np.asarray(collocation.coefficients(np.asarray(samples)))[0]
+    return np.asarray(collocation.coefficients(np.asarray(samples))[0])
 
 
 def _errors_of(
