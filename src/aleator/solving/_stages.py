@@ -27,7 +27,7 @@ from aleator.transcription import AbstractTranscribed, AbstractTranscription, di
 # How often at most limits are held between the instants, and scenarios are added.
 _MOST_TIGHTENINGS, _MOST_SCENARIOS = 12, 20
 # Iterations from an answer to a close one with peaks limited.
-_MOST_STEPS = 20
+_MOST_STEPS = 25
 # The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
 # follow.
 _ROUGH = 1e-4
