@@ -89,9 +89,10 @@ def entries_in(folder: Path) -> dict[str, Entry]:
     journal.
     """
     if not (folder / FILE).is_file():
+        inside = ", ".join(f"'{one.parent}'" for one in sorted(folder.glob(f"*/{FILE}")))
         raise ProblemError(
             f"There is no journal in '{folder}': expected a folder in which `aleator run` or a script within "
-            "`al.journal(folder)` has kept results."
+            f"`al.journal(folder)` has kept results{inside and f', such as {inside}'}."
         )
     entries, _ = read(folder / FILE)
     return entries if has_writer(folder) else {**entries, **interrupted(entries)}
