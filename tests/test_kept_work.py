@@ -97,6 +97,12 @@ def test_work_may_be_a_partial_function(tmp_path):
             assert kept("doubled", functools.partial(scaled, 2.0), 3.0) == 6.0
 
 
+def test_work_on_a_dict_in_another_order_is_other_work(tmp_path):
+    for parts in ({"shaft": 10.0, "ring": 3.0}, {"ring": 3.0, "shaft": 10.0}):
+        with al.journal(tmp_path):
+            assert kept("order", list, parts) == list(parts)
+
+
 def test_code_that_changed_is_told_and_the_work_done_again(work, calls, monkeypatch):
     work(1.0, 2)
     monkeypatch.setattr(f"{__name__}.STEP", 0.5)

@@ -1,5 +1,6 @@
 """Placements and realisation: what is told by its type, how it is named and ordered, and what is one or two."""
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -220,3 +221,44 @@ def test_every_number_tells_between_which_ends_it_lies():
         (al.Uniform(al.Decision(1.0, 0.0, 5.0), half_width=al.Decision(0.5, 0.0, 2.0)), -2.0, 7.0),
     ]:
         np.testing.assert_allclose([lowest(number), highest(number)], ends, rtol=1e-12)
+
+
+@dataclass
+class Section:
+    """Numbers of an object that JAX takes for one value."""
+
+    width: float
+
+
+@pytest.mark.parametrize(
+    "part", [{"a", "b"}, Section(1.0), np.array(["a", "b"]), np.array([al.Normal(0.0, 1.0)], object)]
+)
+def test_what_no_program_can_take_is_refused_by_its_place(part):
+    with pytest.raises(al.ProblemError, match=r"'part': expected numbers.*received"):
+        placements({"part": part})
+
+
+class Beam(al.AlgebraicSystem):
+    """A beam whose section is unpacked in the order in which it is written."""
+
+    section: dict[str, Any]
+
+    def outputs(self):
+        height, base = self.section.values()
+        return {"I": base * height**3 / 12, "A": base * height}
+
+
+def test_models_and_functions_see_dicts_in_the_order_in_which_they_are_written():
+    section = {"height": al.Decision(2.0, 0.5, 3.0), "base": al.Decision(1.0, 0.2, 3.0)}
+    problem = al.Problem(Beam(section), minimize=al.output("A").mean, subject_to=[al.output("I").mean >= 1.0])
+    assert al.solve(problem).decisions == {"section.height": pytest.approx(3.0), "section.base": pytest.approx(4 / 9)}
+
+    def gap(parts):
+        first, *others = parts.values()
+        return first - sum(others)
+
+    stack = {"shaft": al.Normal(10.0, 0.1), "ring": al.Normal(3.0, 0.2)}
+    assert al.expand(gap, stack).mean == pytest.approx(7.0)
+    assert al.references.linearise(gap, stack).mean == pytest.approx(7.0)
+    assert al.references.monte_carlo(gap, stack, samples=64).mean.value == pytest.approx(7.0, abs=0.2)
+    assert al.tolerance_analysis(stack, gap, lower=6.0, upper=8.0).mean == pytest.approx(7.0)

@@ -178,6 +178,16 @@ def refuse_missing(name: str, value: Any) -> None:
         raise refusal(f"'{name}'", "numbers", value)
 
 
+def refuse_leaf(name: str, leaf: Any) -> None:
+    """Raise `ProblemError` for what no model can hold: missing numbers, and what is neither numbers nor fixed."""
+    if isinstance(leaf, np.ndarray) and leaf.dtype.kind not in "biufc":
+        raise refusal(f"'{name}'", "numbers in an array, and distributions or texts in a tuple", leaf)
+    if type(leaf).__hash__ is None and not isinstance(leaf, np.ndarray | jax.Array):
+        expected = "numbers, or what can be hashed; numbers in parts of your own in an equinox.Module or a NamedTuple"
+        raise refusal(f"'{name}'", expected, leaf)
+    refuse_missing(name, leaf)
+
+
 Progress: TypeAlias = Callable[[str, int, int], None]
 
 

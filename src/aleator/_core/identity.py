@@ -16,6 +16,7 @@ import sys
 import sysconfig
 import time
 import types
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from decimal import Decimal
 from fractions import Fraction
@@ -196,7 +197,7 @@ class _Texts:
         if isinstance(it, eqx.Module):
             # In one order, whether it was made or changed as a tree.
             parts: Iterable[tuple[Any, Any]] = sorted(vars(it).items())
-        elif type(it).__reduce__ is not object.__reduce__ and not isinstance(it, dict | tuple | list):
+        elif type(it).__reduce__ is not object.__reduce__ and not isinstance(it, OrderedDict):
             parts = [("made by", it.__reduce__())]
         elif isinstance(it, TracedFunction):
             if not it.digest.is_whole:
@@ -205,7 +206,8 @@ class _Texts:
         elif dataclasses.is_dataclass(it):
             parts = [(one.name, getattr(it, one.name)) for one in dataclasses.fields(it) if one.compare]
         elif isinstance(it, dict):
-            parts = sorted(it.items(), key=lambda item: repr(item[0]))
+            # A user's code may depend on their order, which JAX does not keep.
+            parts = it.items() if self._whole and not declared else sorted(it.items(), key=lambda item: repr(item[0]))
         elif isinstance(it, tuple | list):
             parts = enumerate(it)
         elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:

@@ -4,7 +4,7 @@ import abc
 import dataclasses
 import importlib
 import inspect
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import Any, Self, TypeVar
 
@@ -17,6 +17,19 @@ from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten
 from aleator._core.arrays import Pytree
 from aleator._core.border import a_name, real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
+
+
+def in_order(tree: Pytree) -> Pytree:
+    """A tree whose dicts, and those in its lists and tuples, keep the order in which they are written.
+
+    JAX sorts the keys of a plain dict wherever it makes a tree anew; a user's code may unpack `values()`.
+    """
+    if type(tree) is dict:
+        tree = {key: in_order(value) for key, value in tree.items()}
+        # Keys of different kinds have no order but this one.
+        is_sorted = len({*map(type, tree)}) < 2 and [*tree] == sorted(tree)
+        return tree if is_sorted else OrderedDict(tree)
+    return type(tree)(map(in_order, tree)) if type(tree) in (list, tuple) else tree
 
 
 class Module(eqx.Module):
@@ -39,6 +52,12 @@ class Module(eqx.Module):
                     f"{cls.__name__}.{name}: {hidden.__name__} has a method of that name, which the field would hide: "
                     "give the field another name."
                 )
+
+    def __check_init__(self) -> None:
+        """A user's fields keep the order of their dicts."""
+        if not type(self).__module__.startswith("aleator."):
+            for name, value in vars(self).items():
+                object.__setattr__(self, name, in_order(value))
 
     @property
     def is_declared(self) -> bool:

@@ -13,7 +13,7 @@ from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_array
 from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.leaves import is_traced
+from aleator._core.leaves import in_order, is_traced
 from aleator.analysis._abstract_expanded import extrapolates
 from aleator.analysis._expanded import ElementExpanded, Expanded
 from aleator.analysis._over_intervals import OverIntervals, over_intervals
@@ -271,6 +271,7 @@ class Sampler:
     """
 
     def __init__(self, function: Function, model: Pytree, *, traced: bool):
+        model = in_order(model)
         self.places = uncertain_places("expand", function, model, takes_intervals=True)
         self.random = placements(model).distributions
         decisions = {name: place.decision for name, place in self.places.decisions.items()}

@@ -13,7 +13,7 @@ import numpy as np
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.border import one_of, real_array
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.leaves import Drawn, Printed
+from aleator._core.leaves import Drawn, Printed, in_order
 from aleator.analysis._abstract_expanded import prepared
 from aleator.analysis._expand import Sampler, expand
 from aleator.analysis._expanded import Expanded
@@ -231,6 +231,7 @@ def tolerance_analysis(
     check_limits("tolerance_analysis", lower, upper)
     if expansion is not None:
         one_of("tolerance_analysis: expansion", expansion, Expansion)
+    model = in_order(model)
     function, name = _function(model, output)
     refuse_intervals("tolerance_analysis", placements(model))
     zones = zones_of(placements(model), one_of("tolerance_analysis: tolerances", tolerances or {}, Mapping))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal, refuse_missing, traceable
+from aleator._core.border import refusal, refuse_leaf, traceable
 from aleator._core.errors import ProblemError
 from aleator._core.functions import first_line, returned
 from aleator._core.leaves import Module, Printed, is_leaf, named_leaves
@@ -367,7 +367,7 @@ def check_inputs(system: System, inputs: Collection[str]) -> None:
 def refuse_unrealised(**parts: Any) -> None:
     """Raise `ProblemError` if a distribution or a decision is left in the parts to simulate; traced numbers pass."""
     for name, leaf in named_leaves(parts):
-        refuse_missing(name, leaf)
+        refuse_leaf(name, leaf)
     leaves = [
         f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
         for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_leaf)

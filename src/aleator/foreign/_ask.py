@@ -13,6 +13,7 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.leaves import in_order
 from aleator.analysis import Expanded, expand, fresh_points
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
@@ -44,6 +45,7 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     """
     if not isinstance(expansion, Expansion | None):
         raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+    model = in_order(model)
     refuse_nonpositive(model)
     places = placements(model)
     refuse_intervals("ask", places)

@@ -21,6 +21,7 @@ from aleator._core.border import whole as whole_given
 from aleator._core.errors import ProblemError
 from aleator._core.executors import check_executor, each_of
 from aleator._core.journalled import AbstractParts, journalled, part_by_part, parts_so_far
+from aleator._core.leaves import in_order
 from aleator.ensemble import (
     AbstractBox,
     AbstractEnsemble,
@@ -192,6 +193,7 @@ Evaluate: TypeAlias = Callable[[Sequence[Part], int], Iterator[tuple[Part, Pytre
 
 def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:
     """The function at the realisations of a model. Raises `ProblemError` if nothing in the model is uncertain."""
+    model = in_order(model)
     return ensemble_for(function, model, uncertain_places(verb, function, model), traced=traced)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.leaves import Module
+from aleator._core.leaves import Module, in_order
 from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, is_finite, outputs_of, part, uncertain_places
 from aleator.statistics._statistic import root
 from aleator.uncertainty import (
@@ -49,6 +49,7 @@ class Inputs:
                 f"{verb}: a black box has no derivatives; expand it by al.expand, or sample it by "
                 "al.references.monte_carlo."
             )
+        model = in_order(model)
         self._places = uncertain_places(verb, function, model)
         self.verb, self._function = verb, function
         # A standard normal number equals its germ, so that values passed as the germ are the numbers themselves.

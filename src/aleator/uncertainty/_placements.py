@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, in_library, is_number, jax_array
-from aleator._core.border import refusal, refuse_missing
+from aleator._core.border import refusal, refuse_leaf
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, AbstractPlanned, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
@@ -141,7 +141,7 @@ def placements(model: Pytree) -> Placements:
     decisions: dict[str, Place] = {}
     size = 0
     for name, leaf in named_leaves(model):
-        refuse_missing(name, leaf)
+        refuse_leaf(name, leaf)
         if not (all(name.split(".")) or leaf is model):
             raise refusal("The key of a number in the model", "a name", name)
         if name in named:
