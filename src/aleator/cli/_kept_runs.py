@@ -135,7 +135,7 @@ def _differing(first: Mapping[str, Any] | None, other: Mapping[str, Any] | None)
     if first is None or other is None:
         return None
     whole, another = (
-        {row.label: row.exact for row in rows_of(one) if row.exact is not None}
+        {row.label: (row.value, row.unit) for row in rows_of(one) if row.value is not None}
         | {"constraints": one["constraints"], "the problem": one["problem"]}
         for one in (first, other)
     )

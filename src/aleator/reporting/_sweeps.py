@@ -1,23 +1,40 @@
-"""Figures and facts of other sweeps: calibrations, penalties, starts, portfolios, cross-checks."""
+"""Figures and facts of other sweeps: calibrations, penalties, evidence on many designs, local optima, cross-checks."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator.reporting._documents import objective_text
 from aleator.reporting._numbers import given, number, percent, share_text, unit_of
 from aleator.reporting._page import Table
+from aleator.reporting._samples import bars_figure, draw_shares, shares_figure
 from aleator.reporting._showing import Facts, facts_of, figure
-from aleator.reporting._spreads import bars_figure, calibration_figure
-from aleator.reporting._style import limit_line
-from aleator.reporting._tables import objective_text
+from aleator.reporting._style import ALARM, Look, blank, limit_line, plain
 from aleator.solution import Solution
-from aleator.sweep import Calibration, CrossChecked, Hardened, Portfolio, Starts
+from aleator.sweep import Calibration, CrossChecked, EvidenceOfAll, Hardened, Portfolio, Starts
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-figure(Calibration, "trials")(calibration_figure)
+# --- Margins, penalties, evidence ------------------------------------------------------------------------------------
+
+
+@figure(Calibration, "trials")
+def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":
+    """The violation rate against the margin, with intervals; the target; the chosen margin on fresh samples."""
+    y = plain(f"{who.capitalize()} that violate {calibration.name} (%)")
+    figure = blank("Margin a (multiples of σ)", y, height=380)
+    trials = sorted(calibration.trials, key=lambda one: one.sigmas)
+    dotted = {"mode": "markers+lines" if len(trials) > 1 else "markers", "line_width": 1, "line_dash": "dot"}
+    sigmas, shares = [one.sigmas for one in trials], [one.violation for one in trials]
+    named = {"name": "trials, one sample for all", "marker_size": 8}
+    draw_shares(figure, sigmas, shares, Look("#0072b2", "circle"), **named, **dotted)
+    fresh = [] if calibration.confirmation is None else [calibration.confirmation]
+    named = {"name": "the choice, on fresh samples", "mode": "markers", "marker_size": 14}
+    draw_shares(figure, [calibration.sigmas] * len(fresh), fresh, Look(ALARM, "star"), **named)
+    limit_line(figure, 100 * calibration.target, f"target {given(100 * calibration.target)} %")
+    return figure.update_yaxes(rangemode="tozero")
 
 
 @facts_of.register(Calibration)
@@ -46,6 +63,30 @@ def _(hardened: Hardened) -> Facts:
     ]
     heading = f"Penalties: {'all' if hardened.holds else 'not all'} limits hold{', interrupted' * hardened.interrupted}"
     return Facts(heading, "", [Table("", ["weight", "objective", "excess"], rows)])
+
+
+@figure(EvidenceOfAll, "violations")
+def violations_of_all(along: EvidenceOfAll) -> "Figure":
+    """How many systems of each design break each limit, with 95 % confidence intervals."""
+    shares = {name: [one.violations.get(name) if one else None for one in along.evidence] for name in _counted(along)}
+    return shares_figure(along.places, shares, x="Design", y="Systems that break the limit")
+
+
+def _counted(along: EvidenceOfAll) -> list[str]:
+    """The limits that are counted on any design."""
+    return list(dict.fromkeys(name for one in along.evidence if one for name in one.violations))
+
+
+@facts_of.register(EvidenceOfAll)
+def _(along: EvidenceOfAll) -> Facts:
+    names = _counted(along)
+    rows = [
+        [place, *(share_text(one.violations.get(name)) if one else along.refused[i] for name in names)]
+        for i, (place, one) in enumerate(zip(along.places, along.evidence, strict=True))
+    ]
+    heading = f"Evidence on {len(along.designs)} designs{', interrupted' * along.interrupted}"
+    sentence = "" if along.agrees else "Samples contradict some of the designs, or these could not be simulated."
+    return Facts(heading, sentence, [Table("Systems that break limits, with 95 % intervals", ["design", *names], rows)])
 
 
 # --- Local optima ----------------------------------------------------------------------------------------------------
