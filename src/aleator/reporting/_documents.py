@@ -167,35 +167,41 @@ def _named(one: Any, *names: str) -> dict[str, Any]:
 # --- Rows ------------------------------------------------------------------------------------------------------------
 
 
-class Row(NamedTuple):
-    """One thing that is known of a design: of which kind it is, what it is called, and what it is in words.
+HEADINGS = "Decisions", "Objective", "Limits", "Shadow prices", "Statistics", "Evidence", "Certificate"
 
+
+class Row(NamedTuple):
+    """One thing that is known of a design: under which heading, what it is called there, and what it is in words.
+
+    - `label`: what it is called in a table of whole designs, which has no headings; empty where it is too much for it;
     - `value`: all digits, by which designs are compared, with their `unit`; None for what follows from other rows.
     """
 
-    kind: str
-    label: str
+    heading: str
+    name: str
     text: str
+    label: str = ""
     value: Any = None
     unit: str = ""
 
 
 def rows_of(document: Mapping[str, Any]) -> Iterator[Row]:
     """All that a document says of a design, also one that was read from `designs.json`."""
-    yield Row("Status", "Status", document["verdict"], document["status"])
+    yield Row("Certificate", "Status", document["verdict"], "Status", document["status"])
     for name, one in document["decisions"].items():
-        yield Row("Decisions", name, _decision(one), one["value"], one["unit"])
+        yield Row("Decisions", name, _decision(one), name, one["value"], one["unit"])
     objective, limits = document["objective"], dict[str, list[Any]]()
     text = number(objective["value"], 5, objective["unit"])
-    yield Row("Objective", "Objective", text, objective["value"], objective["unit"])
+    yield Row("Objective", objective["expression"], text, "Objective", objective["value"], objective["unit"])
     for one in document["constraints"]:
         limits.setdefault(one["name"], []).append(one)
     for name, parts in limits.items():
-        yield Row("Limits", name, _worst(parts))
+        yield Row("Limits", name, _worst(parts), f"{name}: worst value")
     broken = list(dict.fromkeys(one["name"] for one in document["constraints"] if not one["holds"]))
-    yield Row("Active", "Active", words([name for name in document["active"] if name not in broken], "nothing"))
+    active = words([name for name in document["active"] if name not in broken], "nothing")
+    yield Row("Limits", "Active", active, "Active")
     if broken:
-        yield Row("Active", "Violated", words(broken))
+        yield Row("Limits", "Violated", words(broken), "Violated")
     if "why" not in document:
         yield from _prices(document, limits)
     for text, one in document["statistics"].items():
@@ -239,16 +245,18 @@ def _prices(document: Mapping[str, Any], limits: Mapping[str, Sequence[Any]]) ->
             prices.append((f"bound of {name}", float(np.sum(np.abs(one["multiplier"]))), one["unit"]))
     unit = document["objective"]["unit"]
     for name, price, by in prices:
-        yield Row("Shadow prices", name, number(price, 4, f"{unit} per {by}".strip() if by else unit))
+        text = number(price, 4, f"{unit} per {by}".strip() if by else unit)
+        yield Row("Shadow prices", name, text, f"{name}: shadow price of the bound")
 
 
 def evidence_rows(evidence: Mapping[str, Any]) -> Iterator[Row]:
     """How often fresh systems break each limit, and whether they agree with the expansion."""
-    yield Row("Evidence", "Fresh systems", count(evidence["samples"]))
+    yield Row("Evidence", "Fresh systems", count(evidence["samples"]), "Fresh systems")
     for limit, share in evidence["violations"].items():
         label = f"Systems that violate {'any limit' if limit == 'any' else limit}"
-        yield Row("Evidence", label, share_text(SimpleNamespace(**share)), share)  # type: ignore[arg-type]
-    yield Row("Evidence", "Agree with the expansion", "yes" if evidence["agrees"] else "no")
+        yield Row("Evidence", label, share_text(SimpleNamespace(**share)), label, share)  # type: ignore[arg-type]
+    agree = "Agree with the expansion"
+    yield Row("Evidence", agree, "yes" if evidence["agrees"] else "no", agree)
 
 
 def _certificate(document: Mapping[str, Any]) -> Iterator[Row]:

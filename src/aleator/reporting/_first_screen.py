@@ -130,7 +130,7 @@ def _decided(design: Solution, labels: Mapping[str, str], toleranced: bool = Fal
     `1643 ± 250 N s/m`.
     """
     parameters = {place: getattr(one, "parameters", {}) for place, _, one in fields_of(design.problem.system)}
-    rows = {row.label: row for row in rows_of(solution_document(design)) if row.kind == "Decisions"}
+    rows = {row.name: row for row in rows_of(solution_document(design)) if row.heading == "Decisions"}
     for name, label in labels.items():
         at, unit = np.asarray(rows[name].value, float), rows[name].unit
         field, _, kind = name.rpartition(".")

@@ -24,20 +24,7 @@ from aleator.reporting._numbers import (
 )
 from aleator.reporting._page import Table
 from aleator.reporting._showing import Facts, chosen, facts_of, figure
-from aleator.reporting._style import (
-    FONT,
-    GRID,
-    INK,
-    MUTED,
-    SIZE,
-    Look,
-    blank,
-    draw,
-    label,
-    limit_line,
-    looks,
-    plain,
-)
+from aleator.reporting._style import FONT, GRID, INK, MUTED, SIZE, Look, blank, draw, label, limit_line, looks, plain
 from aleator.solution import Solution
 from aleator.sweep import Front, Refused, TradeOff
 from aleator.validation import Evidence
@@ -252,7 +239,7 @@ def _decided_in(point: Solution, names: Sequence[str]) -> list[str]:
 @facts_of.register(Front)
 def _(front: Front) -> Facts:
     solved, every = int(front.solved.sum()), len(front.points)
-    heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
+    heading = f"Front over {front.bound}: {solved} of {every} points solved"
     reasons = [f"No design at {bound}: {one.why()}" for _, bound, _, one in points_of({"": front}) if not one.ok]
     return Facts(heading, " ".join(reasons), [front_table({"": front})])
 
@@ -358,5 +345,5 @@ def rates_of(front: TradeOff, place: int) -> dict[str, str]:
 @facts_of.register(TradeOff)
 def _(front: TradeOff) -> Facts:
     failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
-    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
+    designs = f"{len(front.solutions)} designs"
     return Facts(f"Trade-off of {words(front.names)}: {designs}", failed, [trade_off_table(front)])

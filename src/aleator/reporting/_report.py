@@ -14,7 +14,7 @@ import numpy as np
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
 from aleator.reporting import _fronts, _tables
-from aleator.reporting._documents import objective_text, rows_of, solution_document, status_words
+from aleator.reporting._documents import HEADINGS, objective_text, rows_of, solution_document, status_words
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
 from aleator.reporting._numbers import units_of_moments, words
@@ -213,23 +213,15 @@ def choice(
     rows = list(rows_of(solution_document(point, evidence)))
     alarms = [] if evidence is None or evidence.agrees else [evidence.alarm()]
     alarms += [one.sentence() for one in evidence.compared] if evidence else [_UNCHECKED]
-
-    achieved = wishes or {str(point.problem.objective): objective_text(point)}
-
-    def facts(caption: str, *kinds: str, note: str = "") -> Table:
-        return Table(caption, ["", ""], [[row.label, row.text] for row in rows if row.kind in kinds], note)
-
-    tables = [
-        facts("Decisions", "Decisions"),
-        Table("Wishes" if wishes else "Objective", ["", ""], [[*one] for one in achieved.items()]),
-        facts("Limits", "Limits", "Active"),
-        facts(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", "Shadow prices"),
-        facts("Statistics", "Statistics"),
-        facts("Evidence", "Evidence", note=" ".join(alarms)),
-    ]
-    certificate = facts("Certificate", "Status", "Certificate", note="" if point.ok else point.why())
+    notes = {"Evidence": " ".join(alarms), "Certificate": "" if point.ok else point.why()}
+    headed = {heading: [[row.name, row.text] for row in rows if row.heading == heading] for heading in HEADINGS}
+    captions = {heading: heading for heading in HEADINGS}
+    if wishes:
+        headed["Objective"] = [[*one] for one in wishes.items()]
+        captions |= {"Objective": "Wishes", "Shadow prices": "Shadow prices in the weighted sum of the wishes"}
+    tables = [Table(captions[one], ["", ""], headed[one], notes.get(one, "")) for one in HEADINGS]
     # That there is no design comes first.
-    every = [*tables, certificate] if point.ok else [certificate, *tables]
+    every = tables if point.ok else [tables[-1], *tables[:-1]]
     figures = [one.draw(point, one.name).update_layout(height=300, meta=one.name) for one in over_time(point)]
     return Choice(name, [one for one in every if one.rows or one.note], figures)
 

@@ -11,18 +11,10 @@ from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
 from aleator.design import functionals_of, history
 from aleator.nlp import Searched
-from aleator.reporting._documents import rows_of, solution_document, status_words
+from aleator.reporting._documents import solution_document, status_words
 from aleator.reporting._numbers import given, number, residual, unit_of, unit_of_decision, units_of_outputs
 from aleator.reporting._page import Drawing
-from aleator.reporting._paths import (
-    add_means,
-    components,
-    histories_figure,
-    limits_of,
-    limits_text,
-    paths_of,
-    timeline,
-)
+from aleator.reporting._paths import add_means, components, histories_figure, limits_of, limits_text, paths_of, timeline
 from aleator.reporting._showing import Facts, chosen, facts_of, figure
 from aleator.reporting._style import (
     ALARM,
@@ -235,7 +227,7 @@ def _warning(solution: Solution) -> str:
 
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
-    table = side_by_side("", {"": {**designed(rows_of(solution_document(solution))), "Solver": solution.effort.solver}})
+    table = side_by_side("", {"": {**designed(solution_document(solution)), "Solver": solution.effort.solver}})
     return Facts(f"Solution: {status_words(solution)}", "" if solution.ok else solution.why(), [table])
 
 

@@ -2,7 +2,7 @@
 times, versions and the machine, by which each can be traced to its run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -11,7 +11,6 @@ import numpy as np
 
 from aleator.reporting._datasets import leaves
 from aleator.reporting._documents import (
-    Row,
     design_digest,
     digest,
     environment,
@@ -27,11 +26,6 @@ from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence
 
 _SIGNED_BY = ("Prepared", "Checked", "Released")
-# What a row is called in a table of whole designs; certificates and what is sampled beside them have their own.
-_IN_TABLES = {
-    **{"Status": "{}", "Decisions": "{}", "Objective": "{}", "Limits": "{}: worst value", "Active": "{}"},
-    **{"Shadow prices": "{}: shadow price of the bound", "Evidence": "{}"},
-}
 
 
 def side_by_side(caption: str, columns: Mapping[str, Mapping[str, str]], note: str = "") -> Table:
@@ -50,15 +44,15 @@ def side_by_side(caption: str, columns: Mapping[str, Mapping[str, str]], note: s
     return Table(caption, ["", *columns], rows, note)
 
 
-def documents_table(caption: str, documents: Mapping[str, Mapping[str, object] | None], note: str = "") -> Table:
+def documents_table(caption: str, documents: Mapping[str, Mapping[str, Any] | None], note: str = "") -> Table:
     """Documents of designs side by side; None where there is no design."""
-    columns = {name: designed(rows_of(one)) if one else {} for name, one in documents.items()}
+    columns = {name: designed(one) if one else {} for name, one in documents.items()}
     return side_by_side(caption, columns, note)
 
 
-def designed(rows: Iterable[Row]) -> dict[str, str]:
+def designed(document: Mapping[str, Any]) -> dict[str, str]:
     """What a design is, what it achieves, and how often its limits break, in words by label."""
-    return {_IN_TABLES[one.kind].format(one.label): one.text for one in rows if one.kind in _IN_TABLES}
+    return {row.label: row.text for row in rows_of(document) if row.label}
 
 
 def designs_table(
@@ -79,7 +73,7 @@ def designs_table(
 def violations_table(evidence: Mapping[str, Evidence]) -> Table:
     """How many systems break each limit, a column for each design."""
     columns = {
-        name: {row.label: row.text for row in evidence_rows(evidence_document(one))} for name, one in evidence.items()
+        name: {row.name: row.text for row in evidence_rows(evidence_document(one))} for name, one in evidence.items()
     }
     return side_by_side("Systems that violate limits", columns, "In brackets: 95 % confidence.")
 
@@ -93,7 +87,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         f" up to {words(tolerances)} it counts as resolved."
     )
     columns = {
-        name: {row.label: row.text for row in rows_of(solution_document(one)) if row.kind in ("Status", "Certificate")}
+        name: {row.name: row.text for row in rows_of(solution_document(one)) if row.heading == "Certificate"}
         for name, one in solutions.items()
     }
     return side_by_side("Certificate", columns, note)
