@@ -11,14 +11,14 @@ from typing import Any
 from aleator import studies
 from aleator._core.border import content_of, json_of, meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.cli._folder import RECORD, Record, staleness
+from aleator.cli._run import RECORD, Record, staleness
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal, load, recalling
 from aleator.reporting import (
     PAGE,
     by_place,
-    design_digest,
+    designs_document,
     documents_table,
     evidence_document,
     evidence_table,
@@ -205,13 +205,10 @@ def _documents(folder: Path) -> Mapping[str, Any]:
         raise ProblemError(f"'{path}' cannot be read as the designs of a run ({error}).") from error
     if (folder / RECORD).exists():
         Record.of(folder)  # so that its models' modules can be imported
-    with recalling(folder) as journal:
-        results = journal.finished()
-    evidence = {design_digest(one.solution): one for one in results.values() if isinstance(one, Evidence)}
-    designs = {name: one for name, one in results.items() if isinstance(one, Solution)}
-    designs = {name: one for name, one in designs.items() if "/" in name} or designs  # those that a study names
-    documents = {name: solution_document(one, evidence.get(design_digest(one))) for name, one in designs.items()}
-    return json_of(json_text(documents))
+    results = {name: one for name, one in load(folder).finished().items() if isinstance(one, Solution | Evidence)}
+    designs = designs_document(results)
+    named = {name: one for name, one in designs.items() if "/" in name}  # by a study
+    return json_of(json_text(named or designs))
 
 
 def _name_in(designs: Mapping[str, Any], name: str, runs: Mapping[str, Mapping[str, Any]]) -> str | None:

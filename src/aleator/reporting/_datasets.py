@@ -13,7 +13,7 @@ from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, functionals_of, path_of, statistics_in
 from aleator.dynamics import LinkedGrid, phase_of
-from aleator.reporting._documents import RESIDUALS, environment, solution_document
+from aleator.reporting._documents import RESIDUALS, environment, evidence_on, solution_document
 from aleator.reporting._files import write_together
 from aleator.reporting._numbers import unit_of, unit_of_decision, unit_of_limit
 from aleator.solution import Solution
@@ -379,7 +379,6 @@ def json_text(document: Any) -> str:
 def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
     """Every solution among the results by its place, in human-readable form."""
     found = by_place(results)
-    judged = {id(one.solution): one for one in found.values() if isinstance(one, Evidence)}
-    return {
-        place: solution_document(one, judged.get(id(one))) for place, one in found.items() if isinstance(one, Solution)
-    }
+    evidence = [one for one in reversed(found.values()) if isinstance(one, Evidence)]  # the last counts
+    designs = {place: one for place, one in found.items() if isinstance(one, Solution)}
+    return {place: solution_document(one, evidence_on(one, evidence)) for place, one in designs.items()}

@@ -159,6 +159,17 @@ def evidence_document(evidence: Evidence) -> dict[str, Any]:
     }
 
 
+def evidence_on(solution: Solution | Refused, known: Sequence[Evidence]) -> Evidence | None:
+    """The evidence on this very design: on its decisions, in a problem with the same text; None if there is none."""
+    if isinstance(solution, Refused):
+        return None
+    for one in known:
+        same = np.array_equal(one.solution.vector, solution.vector)
+        if one.solution is solution or (same and one.solution.problem_text == solution.problem_text):
+            return one
+    return None
+
+
 def _named(one: Any, *names: str) -> dict[str, Any]:
     """Attributes by their names."""
     return {name: getattr(one, name) for name in names}

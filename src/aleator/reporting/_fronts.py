@@ -2,7 +2,7 @@
 
 import html
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import Problem
-from aleator.reporting._documents import objective_text, status_words
+from aleator.reporting._documents import evidence_on, objective_text, status_words
 from aleator.reporting._numbers import (
     NOTHING,
     given,
@@ -184,17 +184,6 @@ def decision(front: Front, name: str | None = None) -> "Figure":
     for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
         draw(drawn, front.values, column, look, name=entry, marker_size=8)
     return drawn.update_layout(showlegend=len(entries) > 1)
-
-
-def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
-    """The evidence on this very design: on its decisions, in a problem with the same text; None if there is none."""
-    if isinstance(solution, Refused):
-        return None
-    for one in known:
-        same = np.array_equal(one.solution.vector, solution.vector)
-        if one.solution is solution or (same and one.solution.problem_text == solution.problem_text):
-            return one
-    return None
 
 
 def points_of(fronts: Mapping[str, Front]) -> list[tuple[str, str, Front, Solution | Refused]]:

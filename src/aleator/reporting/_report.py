@@ -14,7 +14,7 @@ import numpy as np
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
 from aleator.reporting import _fronts, _tables
-from aleator.reporting._documents import HEADINGS, objective_text, rows_of, solution_document, status_words
+from aleator.reporting._documents import HEADINGS, evidence_on, objective_text, rows_of, solution_document, status_words
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
 from aleator.reporting._numbers import units_of_moments, words
@@ -81,7 +81,7 @@ def report(
     shown = [*designs.values(), *(point for one in swept.values() for point in one.solutions)]
     checked = [one for each in _named(along, EvidenceOfAll).values() for one in each.by_place.items()]
     for place, one in checked:
-        if not any(_fronts.evidence_on(point, [one]) for point in shown):
+        if not any(evidence_on(point, [one]) for point in shown):
             raise ProblemError(
                 f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
                 "shown: expected al.validate_all(front) of a front among `fronts`."
@@ -261,7 +261,7 @@ def linked_front(
     """
     points = _fronts.points_of(fronts)
     choices = [
-        choice(f"{before}{front.bound}: {bound}", point, _fronts.evidence_on(point, evidence))
+        choice(f"{before}{front.bound}: {bound}", point, evidence_on(point, evidence))
         for before, bound, front, point in points
     ]
     told = " ".join([caption, *(f"{name}: {one}." for name, front in fronts.items() for one in front.doubts())])
@@ -283,7 +283,7 @@ def trade_off_blocks(
             wishes = dict(zip(front.names, row, strict=False))
             title = ", ".join(f"{wish}: {value}" for wish, value in wishes.items())
             wishes |= _fronts.rates_of(front, place)
-            choices.append(choice(title, one, _fronts.evidence_on(one, evidence), wishes))
+            choices.append(choice(title, one, evidence_on(one, evidence), wishes))
         figures = [_fronts.pair_figure(front, *pair) for pair in combinations(range(len(front.names)), 2)]
         first = _nearest(front.solutions, recommended)
         blocks.append(Linked(figures, f"Trade-off: {name}", table, choices, first, caption))
