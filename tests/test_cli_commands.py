@@ -132,6 +132,15 @@ def test_a_design_that_the_folder_has_lost_is_solved_beside_the_others(here: Pat
     assert {name: one["solved_anew"] for name, one in designs.items()} == {"nominal": False, "robust": True}
 
 
+def test_a_run_is_stale_when_a_module_that_its_study_imports_was_edited(here: Path):
+    (here / "bar.toml").write_text('problem = "bar:problem"\nsamples = 200\n')
+    assert aleator("run", "bar.toml", "--out", "results").exit_code == 0
+    assert not document(aleator("list", "results", "--json"))["stale"]
+    (here / "bar.py").write_text(EDITED)
+    assert document(aleator("list", "results", "--json"))["stale"]
+    assert "'results' is stale" in document(aleator("validate", "results", "--json"))["errors"][0]
+
+
 def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, finished: Path, interrupted_at):
     arguments = ("validate", "results", "--samples", "200", "--json")
     assert not document(aleator("list", "results", "--json"))["stale"]

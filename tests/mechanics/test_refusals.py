@@ -9,7 +9,7 @@ from closed_loops import ClosedTree, SliderCrank
 from double_pendulum import Matrices, Pendubot, Rates, simulate
 
 import aleator as al
-from zoo import Cart
+from zoo import Cart, Decay
 
 GRID = al.Grid(1.0, 10)
 REST = (np.zeros(2), np.zeros(2), np.zeros(2))
@@ -145,17 +145,27 @@ def test_constraints_and_closures_of_a_base_class_that_would_be_lost_are_refused
         al.ForwardDynamics(odd)
 
 
+def one_force(self, q, v):
+    return v
+
+
 @pytest.mark.parametrize(
-    ("name", "value", "right"),
+    ("base", "name", "value", "right"),
     [
-        ("constraints_names", ("a",), "constraint_names"),
-        ("force", lambda self, q, v: v, "forces"),
+        (al.Mechanical, "constraints_names", ("a",), "constraint_names"),
+        (al.Mechanical, "force", one_force, "forces"),
+        (al.Mechanical, "dissipation", one_force, r"Mechanical has no dissipation\(q, v\)"),
+        (al.Lagrangian, "forces", one_force, r"Lagrangian has no forces\(q, v\).*load"),
+        (al.Multibody, "forces", one_force, r"Multibody has no forces\(q, v\).*load"),
+        (al.Accelerations, "coriolis", one_force, r"Accelerations has no coriolis\(q, v\)"),
+        (Slide, "forces", one_force, r"Multibody has no forces"),
+        (Decay, "intial", one_force, "initial"),
+        (Decay, "event", {}, "events"),
     ],
 )
-def test_a_name_that_a_class_does_not_know_is_refused_where_the_class_is_made(name, value, right):
-    parts = {"names": ("x",), "mass_matrix": lambda self, q: np.eye(1), name: value}
+def test_what_a_class_would_not_read_is_refused_where_the_class_is_made(base, name, value, right):
     with pytest.raises(al.ProblemError, match=rf"Odd\.{name} .*{right}"):
-        type("Odd", (al.Mechanical,), parts)
+        type("Odd", (base,), {name: value})
 
 
 class Knife(al.Mechanical):

@@ -33,7 +33,7 @@ from aleator._core.parallel import CORES
 
 # Libraries that trace and compile.
 _TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy")
-_LIBRARIES = {"aleator", "jaxtyping", *_TRACING}
+_LIBRARIES = {"aleator", "aleator_command", "jaxtyping", *_TRACING}
 _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = sysconfig.get_path("purelib"), sysconfig.get_path("platlib")
 _PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
@@ -286,6 +286,12 @@ def _is_own(it: Any) -> bool:
     if not isinstance(it, types.ModuleType) or is_library(it.__name__):
         return False
     return not (getattr(it, "__file__", None) or "").startswith(_INSTALLED)
+
+
+def own_files() -> list[Path]:
+    """The files of a user's modules that have been imported, but for the script that runs."""
+    own = (one for name, one in [*sys.modules.items()] if name != "__main__" and _is_own(one))
+    return sorted({Path(file).resolve() for one in own if (file := getattr(one, "__file__", None))})
 
 
 def _names(code: types.CodeType) -> set[str]:

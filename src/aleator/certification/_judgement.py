@@ -316,7 +316,10 @@ def doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
             f"{quality.order} by, so whether means and spreads can be trusted is not known. Use more points"
         )
     elif quality.unresolved:
-        bad = [f"{text} ({quality.leave_one_out[text]:.2g}){quality.since(text)}" for text in quality.unresolved]
+        # An error of all instants together may be small where it is large from one on.
+        errors = {text: error for text, error in quality.leave_one_out.items() if not error <= quality.tolerance}
+        sizes = {text: f" ({error:.2g})" for text, error in errors.items()}
+        bad = [f"{text}{sizes.get(text, '')}{quality.since(text)}" for text in quality.unresolved]
         said.append(
             f"The expansion of order {quality.order} does not resolve {', '.join(bad)}: its relative leave-one-out "
             f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. {quality.remedy}"

@@ -156,7 +156,9 @@ def report(terminal: Terminal, folder: Path, out: Path | None) -> int:
         except AleatorError as error:
             missing.append(f"'{draft.present}' failed: {error}")
     if not by_place(draft.kept):
-        raise ProblemError(f"report: nothing is finished yet in '{folder}' that can be shown. {' '.join(missing)}")
+        raise ProblemError(
+            f"report: nothing is finished yet in '{folder}' of the study as it is now. {' '.join(missing)}"
+        )
     page = draft.page()
     path = write_page(page, out or folder / (_SO_FAR if missing and (folder / PAGE).exists() else PAGE))
     for sentence in missing:

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, final
 
@@ -17,6 +16,7 @@ import aleator
 from aleator import studies
 from aleator._core.border import content_of, json_of
 from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.identity import own_files
 from aleator.cli._interruption import Interruptions
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.journalling import Journal, journal
@@ -39,7 +39,8 @@ class Record:
     - `quick`: of `aleator run`; `directory`: where the command was given, from which modules are imported;
     - `workers`: processes that share the work, None if the study shall say;
     - `bound`, `values`, `design`: of `aleator sweep`;
-    - `source`: a digest of the study's file and of the versions that computed; see `staleness`.
+    - `files`: those of the study and of the modules that it imports, by their paths from the run's folder; `source`: a
+      digest of these and of the versions that computed; see `staleness`.
     """
 
     study: str
@@ -49,6 +50,7 @@ class Record:
     values: tuple[float, ...] = ()
     design: str | None = None
     workers: int | None = None
+    files: tuple[str, ...] = ()
     source: str = ""
 
     @classmethod
@@ -59,7 +61,8 @@ class Record:
         """
         try:
             noted = json_of(content_of(folder / RECORD))
-            record = cls(**{**noted, "values": tuple(noted["values"])})
+            files = tuple(str((folder / file).resolve()) for file in noted["files"])
+            record = cls(**{**noted, "values": tuple(noted["values"]), "files": files})
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ProblemError(
                 f"There is no '{RECORD}' in '{folder}' that says what began its run ({error}): name the study instead, "
@@ -71,12 +74,17 @@ class Record:
         return record
 
     def write(self, folder: Path) -> None:
-        """Note it in the run's folder, with what finds the study again, and its source."""
-        study = self.study
-        if self.is_file:
+        """Note it in the run's folder, with what finds the study again, and its source; the study has been made."""
+
+        def moving(file: str) -> str:
             with suppress(ValueError):  # on another drive of Windows
-                study = os.path.relpath(Path(study).resolve(), folder.resolve())
-        text = json_text(asdict(replace(self, study=study, directory=str(Path.cwd()), source=self.content())))
+                return os.path.relpath(Path(file).resolve(), folder.resolve())
+            return file
+
+        files = {str(file): None for file in ([Path(self.study).resolve()] if self.is_file else []) + own_files()}
+        noted = replace(self, files=tuple(files), directory=str(Path.cwd()))
+        paths = {"study": moving(self.study) if self.is_file else self.study, "files": [*map(moving, files)]}
+        text = json_text(asdict(noted) | paths | {"source": noted.content()})
         write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
 
     @property
@@ -125,19 +133,17 @@ class Record:
             )
 
     def content(self) -> str:
-        """A digest of the text of the study's file or module, and of versions; a case study is a part of aleator."""
-        file = self.study if self.is_file else ""
-        if not self.is_file and self.study not in studies.STUDIES:
-            with suppress(ImportError, ValueError):
-                file = getattr(find_spec(self.study.partition(":")[0]), "origin", "") or ""
+        """A digest of the texts of its files, and of versions."""
         digest = hashlib.sha256(f"{aleator.__version__} {version('jax')} ".encode())
-        with suppress(OSError):
-            digest.update(content_of(file))
+        for file in self.files:
+            with suppress(OSError):
+                digest.update(content_of(file))
         return digest.hexdigest()
 
 
 def staleness(folder: Path) -> str:
-    """A sentence if the study of a folder has been edited since its run, or aleator or JAX has another version.
+    """A sentence if the study of a folder, or a module that it imports, has been edited since its run, or aleator or
+    JAX has another version.
 
     Empty where that is not so, where the study's file has gone, and where the folder names no study.
     """
@@ -147,7 +153,7 @@ def staleness(folder: Path) -> str:
     if record.source == record.content() or (record.is_file and not Path(record.study).is_file()):
         return ""
     return (
-        f"'{folder}' is stale: its study, or the version of aleator or JAX, has changed since the run. "
+        f"'{folder}' is stale: its study, a module of it, or the version of aleator or JAX has changed since the run. "
         f"`aleator resume {folder}` runs it again."
     )
 

@@ -246,7 +246,7 @@ def _new_bounds(
     if lower and upper and lower != {-value for value in upper}:
         raise ProblemError(
             f"Constraint '{name}' has bounds {sorted(lower)} and {sorted(upper)}, which are not symmetric: "
-            "give the new bounds as (lower, upper)."
+            "give with_bound both, (lower, upper); for a front over one side, limit each side under a name of its own."
         )
     if lower and upper:
         return ordered(name, -bound, bound)

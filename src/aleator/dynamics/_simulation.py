@@ -209,9 +209,8 @@ class Simulation(AbstractPlanned):
             if before is None:
                 states = ravel_pytree(initial_state(system, *start))[0]
             else:
-                states = self._begun(
-                    name, one, before, Record({STATES: begun[-1][None]}, {}, (), grid=before.grid)
-                ).begun
+                ended = Record({STATES: begun[-1][None]}, {}, (), grid=before.grid)
+                states = self._begun(name, one, before, ended).begun
                 assert states is not None
             begun.append(states)
             before = one

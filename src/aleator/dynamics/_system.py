@@ -4,6 +4,7 @@ import abc
 import inspect
 from collections import namedtuple
 from collections.abc import Callable, Collection, Mapping
+from difflib import get_close_matches
 from functools import cache
 from types import MethodType
 from typing import Any, ClassVar, NamedTuple
@@ -23,6 +24,8 @@ from aleator.trajectories import AbstractSignal
 
 # The methods of a system with algebraic variables.
 _IMPLICIT = ("residual", "algebraic_guess")
+# What a system may declare; a name as close to one of these is a slip.
+_OPTIONAL, _CLOSE = ("units", "events", "initial", "algebraic", *_IMPLICIT, "unknowns", "guess"), 0.85
 
 
 class AbstractSystem(Module, Printed):
@@ -35,6 +38,17 @@ class AbstractSystem(Module, Printed):
     has_time: ClassVar[bool]
     units: ClassVar[Mapping[str, str]] = {}
     rates_of: ClassVar[Mapping[str, str]] = {}
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse a method or table with a slip in its name, which would be left out without a word."""
+        super().__init_subclass__(**options)
+        optional = [name for name in _OPTIONAL if hasattr(cls, name)]
+        for name in vars(cls).keys() - inspect.get_annotations(cls).keys() - {*dir(cls.__base__), *_OPTIONAL}:
+            is_declared = inspect.isfunction(vars(cls)[name]) or isinstance(vars(cls)[name], Mapping | tuple)
+            if is_declared and (close := get_close_matches(name, optional, n=1, cutoff=_CLOSE)):
+                raise ProblemError(
+                    f"{cls.__name__}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
+                )
 
     @property
     def formulated(self) -> Module:

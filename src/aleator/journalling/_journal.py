@@ -107,9 +107,10 @@ def load(folder: str | Path) -> "Journal":
     """
     place = as_path(folder)
     if not (place / FILE).is_file():
+        inside = ", ".join(f"'{one.parent}'" for one in sorted(place.glob(f"*/{FILE}")))
         raise ProblemError(
             f"There is no journal in '{place}': expected a folder in which `aleator run` or a script within "
-            "`al.journal(folder)` has kept results."
+            f"`al.journal(folder)` has kept results{inside and f', such as {inside}'}."
         )
     entries, _ = read(place / FILE)
     return Journal(place, entries if has_writer(place) else entries | _interrupted(entries))

@@ -129,13 +129,6 @@ class Lagrangian(AbstractNamed):
         """`M = d²T/dv²`."""
         return self._inertia(q, jnp.zeros_like(q))
 
-    def coriolis(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, "n n"]:
-        """`C(q, v)` by the Christoffel symbols of `M`: the choice that makes `Ṁ - 2 C` skew-symmetric."""
-        slope = jax.jacfwd(lambda at: value_of(self, "mass_matrix", at))(q)  # [i, j, k]: dM_ij / dq_k
-        along = slope @ v
-        across = jnp.einsum("ikj,k->ij", slope, v)
-        return 0.5 * (along + across - across.T)
-
     @override
     def bias(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """`d/dt(dT/dv) - dT/dq` without its acceleration term, plus `dV/dq` and `dR/dv`.

@@ -62,6 +62,9 @@ METHODS: Mapping[str, Method] = {
 }
 """What a subclass may write. Each method may take the time `t`, in s, after its arguments."""
 
+# The terms of some formulations that nobody writes for another purpose.
+_TERMS = ("coriolis", "forces", "dissipation", "body_loads")
+
 CONSTRAINTS: Mapping[str, str] = {"constraint_names": "constraint", "velocity_constraint_names": "velocity_constraint"}
 """The names of equations, and the methods that return what is left of these."""
 
@@ -101,12 +104,22 @@ def _names_time(kind: type, name: str) -> bool:
 def refuse_lost(kind: Any) -> None:
     """Raise `ProblemError` for methods that would do nothing, and for constraints of a base class that would go.
 
-    A method that is called much like one that the class has, with as many arguments, is a slip.
+    Such are those of another formulation, as `forces` beside energies; and a method that is called much like one that
+    the class has, with as many arguments, is a slip.
     """
     who, bases = kind.__name__, kind.__mro__[1:]
+    motions = (base for base in bases if "bias" in vars(base) and not getattr(base.bias, "__isabstractmethod__", False))
+    formulation = next(motions, None)
     for name, value in vars(kind).items():
-        is_known = name in METHODS or any(hasattr(base, name) for base in bases)
-        if name.startswith("_") or is_known or not inspect.isfunction(value):
+        if name.startswith("_") or any(hasattr(base, name) for base in bases) or not inspect.isfunction(value):
+            continue
+        if name in METHODS:
+            # A formulation itself calls what it defines; energies and bodies may be quantities of one's own.
+            if name in _TERMS and formulation is not None:
+                raise ProblemError(
+                    f"{who}.{name} has no effect: {formulation.__name__} has no {call_of(name)}. Write forces on the "
+                    "side of torques as load(q, v); rename it if it is a quantity of your own."
+                )
             continue
         count = len(inspect.signature(value).parameters) - 1
         alike = [one for one, own in METHODS.items() if hasattr(kind, one) and count - len(own.arguments) in (0, 1)]
