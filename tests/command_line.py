@@ -14,7 +14,7 @@ import pytest
 
 import aleator_command
 from aleator import solving
-from aleator.cli._folder import Record
+from aleator.cli._run import Record
 from zoo import SPREAD
 
 STUDY = """import aleator as al

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.cli._folder import Record
+from aleator.cli._run import Record
 from aleator.studies import load
 from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document
 from command_line import finished as finished

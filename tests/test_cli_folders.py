@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import aleator as al
-from aleator.cli._folder import Record
+from aleator.cli._run import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import only_writer
 from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document, said

@@ -3,7 +3,9 @@
 import contextlib
 import errno
 import json
+import pickle
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import report_problems as given
 import xarray
 
 from aleator import ProblemError
-from aleator.reporting import _files, check_writable, json_text, save
+from aleator.reporting import _files, check_writable, designs_document, json_text, save
 from aleator.reporting._files import has_writer, only_writer, write_text, write_together, write_whole
 from aleator.results import Front, Refused
 
@@ -96,6 +98,13 @@ def test_the_json_is_strict_and_says_what_was_found(stored):
     assert document["designs/never"]["why"] == given.infeasible().why()
     numbers = json_text({"a": np.nan, "b": [np.inf, np.float32(1.5)], "c": np.arange(2)})
     assert json.loads(numbers) == {"a": None, "b": [None, 1.5], "c": [0, 1]}
+
+
+def test_evidence_stands_with_the_very_same_design_also_where_both_were_read_from_files():
+    one, evidence = given.solution(), pickle.loads(pickle.dumps(given.evidence()))
+    designs = {"one": one, "with another limit": replace(one, problem=given.problem(0.3))}
+    found = designs_document({**designs, "evidence": evidence})
+    assert [name for name, design in found.items() if "evidence" in design] == ["one"]
 
 
 # --- Whole files -----------------------------------------------------------------------------------------------------

@@ -4,8 +4,7 @@ exit codes and JSON documents.
 
 from typing import Any
 
-from aleator.cli._kept_runs import compare, listed, report
-from aleator.cli._results import check, validate
+from aleator.cli._results import check, compare, listed, report, validate
 from aleator.cli._run import begin, resume
 from aleator.cli._run import run_study as run_study
 from aleator.cli._terminal import Terminal

@@ -1,5 +1,8 @@
-"""`journal`: a folder in which every finished result is kept at once; `load`, `recalling`: what it has, to be read."""
+"""`journal`: a folder in which every finished result is kept at once; `load`, `recalling`: what it has, to be read;
+`kept`: work of one's own that takes long, done once for the same code and numbers.
+"""
 
+import inspect
 import os
 import threading
 import time
@@ -9,33 +12,37 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, TypeVar, final
 
 from typing_extensions import override
 
-from aleator._core.border import meant
+from aleator._core.border import Progress, meant
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.identity import DoubtError, joined, lasting_digest, versions
-from aleator._core.journalled import AbstractJournal, NotKeptError, Place, called, journalling
-from aleator.design import Problem
-from aleator.journalling import _results
-from aleator.journalling._entries import (
+from aleator._core.identity import DoubtError
+from aleator._core.journalled import AbstractJournal, NotKeptError, Place, called, journalled, journalling
+from aleator._core.parallel import heeding
+from aleator.journalling._results import (
     DONE,
     FAILED,
     FILE,
+    FINISHED,
     INFEASIBLE,
     INTERRUPTED,
+    LOST,
     RUNNING,
     STALE,
     Entry,
-    entries_in,
-    interrupted,
-    listing,
-    numbered,
+    Parts,
+    content_of,
+    identity,
     read,
+    read_result,
+    write_result,
 )
 from aleator.nlp import Status
-from aleator.reporting import as_path, check_writable, only_writer, words
+from aleator.reporting import as_path, check_writable, has_writer, only_writer, words
+
+Result = TypeVar("Result")
 
 _CODE = "the model's code"
 _UNNOTICED = {"equations": _CODE, "function": _CODE, "versions": "aleator or a library"}
@@ -64,12 +71,12 @@ def journal(folder: str | Path, *, afresh: bool = False) -> "Iterator[Journal]":
     place = check_writable(folder)
     with only_writer(place):
         entries, size = read(place / FILE)
-        (place / _results.FINISHED).mkdir(exist_ok=True)
+        (place / FINISHED).mkdir(exist_ok=True)
         with suppress(FileNotFoundError):  # A line that a crash cut off goes, so that the next one begins a line.
             os.truncate(place / FILE, size)
         record = Journal(place, entries, writes=True, afresh=afresh)
         # Nobody else writes there any more.
-        record.append(*interrupted(entries).values())
+        record.append(*_interrupted(entries).values())
         with journalling(record):
             yield record
 
@@ -80,8 +87,7 @@ def recalling(folder: Path) -> "Iterator[Journal]":
 
     Nothing is written, so that another process may be writing there. Raises `ProblemError` if there is no journal.
     """
-    record = Journal(folder, entries_in(folder))
-    with journalling(record):
+    with journalling(record := load(folder)):
         yield record
 
 
@@ -100,35 +106,20 @@ def load(folder: str | Path) -> "Journal":
     Raises `ProblemError` if there is no journal, and, when a result is asked for, if it cannot be read.
     """
     place = as_path(folder)
-    return Journal(place, entries_in(place))
+    if not (place / FILE).is_file():
+        inside = ", ".join(f"'{one.parent}'" for one in sorted(place.glob(f"*/{FILE}")))
+        raise ProblemError(
+            f"There is no journal in '{place}': expected a folder in which `aleator run` or a script within "
+            f"`al.journal(folder)` has kept results{inside and f', such as {inside}'}."
+        )
+    entries, _ = read(place / FILE)
+    return Journal(place, entries if has_writer(place) else entries | _interrupted(entries))
 
 
-def identity(
-    what: str, given: Mapping[str, Any], key_of: Callable[[Any], str] = lambda _: ""
-) -> tuple[str, dict[str, str]]:
-    """The key of a result that follows from what is given, and digests of all this by name.
-
-    - `key_of`: the key of what is itself a result, by which it is identified; empty for anything else.
-
-    Raises `DoubtError` if another process could not tell whether it is the same.
-    """
-    parts = {"versions": versions()}
-    for name, one in given.items():
-        if isinstance(one, Problem):
-            parts |= {name: lasting_digest(_parts_of(one), declared=True), "equations": _equations(one)}
-        else:
-            parts[name] = lasting_digest(key_of(one) or one)
-    return joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))]), parts
-
-
-def _parts_of(problem: Problem) -> tuple[Any, ...]:
-    """A problem without the digests of its code."""
-    return replace(problem.simulation, equations=None), problem.objective, problem.constraints, problem.expansion
-
-
-def _equations(problem: Problem) -> str:
-    """The digest of a problem's code: of its equations, and all of it where they do not show it."""
-    return joined([problem.physics.text, "" if problem.is_declared else lasting_digest(_parts_of(problem))])
+def _interrupted(entries: Mapping[str, Entry]) -> dict[str, Entry]:
+    """The entries that were running, whose process works no more."""
+    running = {key: entry for key, entry in entries.items() if entry.state == RUNNING}
+    return {key: replace(entry, state=INTERRUPTED) for key, entry in running.items()}
 
 
 @final
@@ -153,9 +144,19 @@ class Journal(AbstractJournal, Mapping[str, Any]):
         """What the journal says, in the order of beginnings."""
         return tuple(self._known.values())
 
+    @property
+    def results(self) -> dict[str, Entry]:
+        """Those that are available by what was done, counted in the order of their beginnings: `solve Bar 1`."""
+        counts, results = dict[str, int](), dict[str, Entry]()
+        for entry in self.entries:
+            if entry.file and entry.state != STALE:
+                counts[entry.what] = counts.get(entry.what, 0) + 1
+                results[f"{entry.what} {counts[entry.what]}"] = entry
+        return results
+
     @override
     def __getitem__(self, name: str) -> Any:
-        results = numbered(self.entries)
+        results = self.results
         own = [number for number, entry in results.items() if name in (number, entry.name)]
         if len(own) == 1:
             return self._read(results[own[0]])
@@ -167,23 +168,41 @@ class Journal(AbstractJournal, Mapping[str, Any]):
 
     @override
     def __iter__(self) -> Iterator[str]:
-        return iter(numbered(self.entries))
+        return iter(self.results)
 
     @override
     def __len__(self) -> int:
-        return len(numbered(self.entries))
+        return len(self.results)
 
     @override
     def __contains__(self, name: object) -> bool:
-        return any(name in (number, entry.name) for number, entry in numbered(self.entries).items())
+        return any(name in (number, entry.name) for number, entry in self.results.items())
 
     def __str__(self) -> str:
-        return listing(self.folder, self._known)
+        names = {entry.key: name for name, entry in self.results.items()}
+        count = sum(entry.state != LOST for entry in self.results.values())
+        lines = [f"{self.folder}: {'1 result' if count == 1 else f'{count} results'}"]
+        for entry in self.entries:
+            time = f"{entry.seconds:.2g} s" if entry.file else f"since {entry.since} on {entry.host}"
+            said = [names.get(entry.key, entry.what), entry.name, time, entry.why]
+            lines.append(f"  {entry.state:<12} {'  '.join(filter(None, said))}")
+        return "\n".join(lines)
+
+    def examined(self) -> "Journal":
+        """The same, and what is so: a result whose file is missing or damaged is lost."""
+        entries = dict(self._known)
+        for key, entry in entries.items():
+            try:
+                if entry.file:
+                    content_of(self.folder / entry.file, key)
+            except ProblemError as error:
+                entries[key] = replace(entry, state=LOST, why=f"{error} It is computed again when asked for.")
+        return Journal(self.folder, entries)
 
     def finished(self) -> dict[str, Any]:
         """All results that can be read, by the names that a study gives them, or else those of `load`."""
         results = dict[str, Any]()
-        for number, entry in numbered(self.entries).items():
+        for number, entry in self.results.items():
             with suppress(ProblemError):
                 results[number if entry.name in ("", *results) else entry.name] = self._read(entry)
         return results
@@ -200,7 +219,7 @@ class Journal(AbstractJournal, Mapping[str, Any]):
 
     def _read(self, entry: Entry) -> Any:
         """A finished result; what follows from it is recognised from now on. Raises `ProblemError`."""
-        result = _results.read(self.folder / entry.file, entry.key)
+        result = read_result(self.folder / entry.file, entry.key)
         self._remember(result, entry.key)
         return result
 
@@ -246,7 +265,7 @@ class Journal(AbstractJournal, Mapping[str, Any]):
     def _opened(self, begun: Entry, *, stays: bool) -> Place:
         """The place of a result in the making; where an earlier one `stays` until it is there, it has no line."""
         started = time.perf_counter()
-        parts = _results.Parts(self.folder, begun.key, self.warn)
+        parts = Parts(self.folder, begun.key, self.warn)
         if self._afresh:
             parts.drop()
 
@@ -265,7 +284,7 @@ class Journal(AbstractJournal, Mapping[str, Any]):
                 end(state)
                 return
             try:
-                file = _results.write(self.folder, begun.what, begun.key, result)
+                file = write_result(self.folder, begun.what, begun.key, result)
             except ProblemError as error:
                 self.warn(f"{begun.what} is not kept: {error}")
                 end(FAILED, f"done, but not kept: {error}")
@@ -326,3 +345,52 @@ def _state_of(result: Any) -> str:
     if status is Status.INFEASIBLE:
         return INFEASIBLE
     return FAILED if getattr(result, "ok", True) is False else DONE
+
+
+# --- Work of one's own ------------------------------------------------------------------------------------------------
+
+
+def kept(
+    name: str,
+    function: Callable[..., Result],
+    *arguments: Any,
+    version: str | int = "",
+    progress: Progress | None = None,
+    **named: Any,
+) -> Result:
+    """What a function returns for some arguments; in a run's folder, what an earlier run has found by the same work.
+
+        count = ext.kept("rejects of the given tolerances", count_rejects, tolerances, samples=1_000_000)
+
+    A journal keeps designs, evidence and fronts by itself (see `al.journal`); with this it keeps any other work too:
+    a count, an enumeration, an `al.expand`. The work is the same if the name, the arguments and the version are the
+    same, and the function's code with the globals and closures that it names. What it asks of `al.solve` and the like
+    is a part of this one result.
+
+    - `name`: by which the journal lists the result, as `work` of this name;
+    - `function`: gets all that it works with as arguments, and returns what Python can pickle;
+    - `version`: say another one where the work is another although its own code is the same, because a file that it
+      reads or a function that it calls by another name has changed;
+    - `progress`: given to the function as its own `progress`, if any; the result does not follow from it.
+
+    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function that names what
+    cannot be written out, such as a lock. So is work whose result no other process could read. Ctrl-C ends the work,
+    whatever the function makes of it.
+
+    Raises `TypeError` for arguments that the function does not take, and `ProblemError` if it returns None.
+    """
+    reported = {} if progress is None else {"progress": progress}
+    bound = inspect.signature(function).bind(*arguments, **named, **reported).arguments
+    given = {f"argument {one}": value for one, value in bound.items() if one not in reported}
+
+    def computed() -> Result:
+        with heeding() as heed:  # what it asks for may have ended early without saying so
+            result = function(*arguments, **named, **reported)
+            heed()
+        if result is None:
+            raise ProblemError(f"kept: '{name}': expected a function that returns what is kept; it returned None.")
+        return result
+
+    called = getattr(function, "__qualname__", type(function).__qualname__)
+    identity = {"function": function, "called": called, "version": str(version)}
+    return journalled(f"work {name}", identity | given, computed)

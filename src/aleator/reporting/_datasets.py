@@ -1,8 +1,10 @@
-"""Results as labelled arrays with units, and which can be saved: by name, nested as needed."""
+"""Results in files: labelled arrays as netCDF for programs, designs as JSON for people; what can be saved, by name."""
 
 import functools
+import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from typing_extensions import TypeIs
@@ -11,6 +13,8 @@ from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, functionals_of, path_of, statistics_in
 from aleator.dynamics import LinkedGrid, phase_of
+from aleator.reporting._documents import RESIDUALS, environment, evidence_on, solution_document
+from aleator.reporting._files import write_together
 from aleator.reporting._numbers import unit_of, unit_of_decision, unit_of_limit
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
@@ -20,12 +24,18 @@ if TYPE_CHECKING:
     import xarray
 
 Arrays = dict[str, Any]
+Result: TypeAlias = "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset"
 
 # This halves time histories; stronger compression takes longer and saves little more.
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
 
 KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
 """The kinds of results that have labelled arrays."""
+
+PAGE = "report.html"
+"""The page of a study, beside its results."""
+
+_RESULTS, _DESIGNS = "results.nc", "designs.json"
 
 
 def is_group(result: Any) -> TypeIs[Mapping[str, Any]]:
@@ -79,6 +89,7 @@ def _key(text: str) -> str:
 
 
 def _entries(name: str, value: Any) -> tuple[str, ...]:
+    """The axes of a decision."""
     return tuple(f"{_key(name)} axis {i}" for i in range(np.ndim(value)))
 
 
@@ -106,19 +117,20 @@ def _axes(problem: Problem, one: Any, values: Any) -> tuple[str, ...]:
 @dataset.register(Solution)
 def _(solution: Solution) -> "xarray.Dataset":
     """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
-    problem, objective_unit = solution.problem, unit_of(solution.problem.objective, solution.problem)
-    arrays: Arrays = {"objective": _array((), solution.objective, objective_unit, long_name=str(problem.objective))}
-    for name, value in solution.decisions.items():
-        axes, multiplier = _entries(name, value), solution.bound_multipliers.get(name, np.nan)
-        arrays[f"decision {name}"] = _array(axes, value, unit_of_decision(name, problem))
-        arrays[f"multiplier {name}"] = _array(axes, multiplier)
-    for i, (limit, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
-        unit, label = unit_of(declared.expression, problem), f"constraint {i} {limit.name}"
-        axes, ends = _axes(problem, declared, limit.values), {"lower": f"{limit.lower:g}", "upper": f"{limit.upper:g}"}
+    problem, known = solution.problem, solution_document(solution)
+    objective, effort = known["objective"], solution.effort
+    arrays: Arrays = {"objective": _array((), objective["value"], objective["unit"], long_name=objective["expression"])}
+    for name, one in known["decisions"].items():
+        axes = _entries(name, one["value"])
+        arrays[f"decision {name}"] = _array(axes, one["value"], one["unit"])
+        arrays[f"multiplier {name}"] = _array(axes, solution.bound_multipliers.get(name, np.nan))
+    every = zip(solution.constraints, problem.constraints, known["constraints"], strict=True)
+    for i, (limit, declared, one) in enumerate(every):
+        axes, label = _axes(problem, declared, limit.values), f"constraint {i} {limit.name}"
         if limit.times is not None and len(limit.times) > len(solution.instants):  # Limits on a mesh have more instants
             axes = ("point of limits", *axes[1:])
             arrays["times of limits"] = _array(axes[0], limit.times, "s")
-        arrays[label] = _array(axes, limit.values, unit, long_name=limit.text, **ends)
+        arrays[label] = _array(axes, limit.values, one["unit"], long_name=limit.text, **_ends(limit))
         arrays[f"{label} multiplier"] = _array(axes, limit.multipliers)
         arrays[f"{label} active"] = _array(axes, np.asarray(limit.active, dtype=np.int8))
     functionals = {one.text(): one for one in functionals_of(problem.expressions)}
@@ -135,17 +147,11 @@ def _(solution: Solution) -> "xarray.Dataset":
         arrays[f"mesh {i}"] = _array(f"node of mesh {i}", mesh.nodes, "s", long_name=str(mesh.scheme))
         axes = f"realisation of mesh {i}", f"interval of mesh {i}"
         arrays[f"mesh {i} drift"] = _array(axes, mesh.drifts, asked=f"{mesh.asked:g}")
-    if (searched := solution.effort.searched) is not None:
-        arrays["searched objective"] = _array("evaluation", searched.objectives, objective_unit)
-        arrays["searched violation"] = _array("evaluation", searched.violations)
-    attributes = {
-        "status": solution.status.value,
-        "solver": solution.effort.solver,
-        "violation": solution.certificate.violation,
-        "stationarity": solution.certificate.stationarity,
-        "complementarity": solution.certificate.complementarity,
-        "problem": solution.problem_text,
-    }
+    if effort.searched is not None:
+        arrays["searched objective"] = _array("evaluation", effort.searched.objectives, objective["unit"])
+        arrays["searched violation"] = _array("evaluation", effort.searched.violations)
+    residuals = {name: known["certificate"][name] for name in RESIDUALS}
+    attributes = {"status": known["status"], "solver": effort.solver, **residuals, "problem": solution.problem_text}
     return _dataset(arrays | _histories(solution), attributes, solution)
 
 
@@ -186,12 +192,16 @@ def _(evidence: Evidence) -> "xarray.Dataset":
     limits = {one.name: one for one in problem.constraints if one.is_path}
     for i, kept in enumerate(evidence.trajectories):
         axes, unit = _axes(problem, limits[kept.name], kept.values[0]), unit_of_limit(kept.name, problem)
-        ends = {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
-        arrays[f"trajectory {i} {kept.name}"] = _array(("system", *axes), kept.values, unit, **ends)
+        arrays[f"trajectory {i} {kept.name}"] = _array(("system", *axes), kept.values, unit, **_ends(kept))
         arrays[f"trajectory {i} violating"] = _array("system", np.asarray(kept.violating, dtype=np.int8))
-    attributes = {name: getattr(evidence, name) for name in ("samples", "seed", "seconds", "instants")}
-    attributes = {name: value for name, value in attributes.items() if value is not None}
+    attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
+    attributes |= {} if evidence.instants is None else {"instants": evidence.instants}
     return _dataset(arrays, attributes, evidence.solution, limit=list(shares), percent=list(PERCENTILES))
+
+
+def _ends(limit: Any) -> dict[str, str]:
+    """The bounds of a limit."""
+    return {"lower": f"{limit.lower:g}", "upper": f"{limit.upper:g}"}
 
 
 def _shares(axis: str, shares: Sequence[Share]) -> Arrays:
@@ -322,3 +332,53 @@ def _checked(what: str, result: Any) -> Any:
     except (TypeError, ValueError, NotImplementedError) as error:
         raise ProblemError(f"{what}: expected data that netCDF can hold; received other data: {error}") from error
     return result
+
+
+# --- Files -----------------------------------------------------------------------------------------------------------
+
+
+def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
+    """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
+
+    Each keyword is a result, a dataset, or a mapping of these by name, nested as needed: a group of the netCDF file.
+    Solutions become entries of the JSON file, with the violations in their evidence. Both files always belong to the
+    same call, and carry a common identifier; files of an earlier run are kept until the new ones are complete.
+
+    Raises `ProblemError` for anything that is not a result, naming its place, if the folder cannot be written to, or if
+    another process keeps writing into it.
+    """
+    kept, refused = savable("save", results)
+    if refused:
+        raise refused[0]
+    return save_all(folder, kept)
+
+
+def save_all(folder: str | Path, results: Mapping[str, Any], *outdated: str) -> tuple[Path, ...]:
+    """Write results that are `savable`; outdated files, such as the page of an earlier set, go with that set."""
+    generation, nodes = uuid.uuid4().hex, tree(results)
+    nodes.attrs |= {"generation": generation, **environment()}
+    document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
+    files = {
+        # In memory, since on a full disk HDF5 fails to close its file and ends the process.
+        _RESULTS: bytes(nodes.to_netcdf(engine="h5netcdf")),
+        _DESIGNS: json_text(document).encode("utf-8") if document else None,
+    }
+    return write_together(folder, files | dict.fromkeys(outdated))
+
+
+def json_text(document: Any) -> str:
+    """Strict, readable JSON: non-finite numbers become null."""
+    from pydantic_core import to_json
+
+    def in_python(value: Any) -> Any:
+        return dict(value) if isinstance(value, Mapping) else np.asarray(value).tolist()
+
+    return to_json(document, indent=2, inf_nan_mode="null", fallback=in_python).decode() + "\n"
+
+
+def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Every solution among the results by its place, in human-readable form."""
+    found = by_place(results)
+    evidence = [one for one in reversed(found.values()) if isinstance(one, Evidence)]  # the last counts
+    designs = {place: one for place, one in found.items() if isinstance(one, Solution)}
+    return {place: solution_document(one, evidence_on(one, evidence)) for place, one in designs.items()}

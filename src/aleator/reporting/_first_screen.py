@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from aleator._core.border import meant
-from aleator._core.errors import ProblemError
 from aleator.design import value, value_at
 from aleator.nlp import Status
-from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_decision, words
+from aleator.reporting._documents import objective_text, rows_of, solution_document
+from aleator.reporting._numbers import count, given, number, percent, share_text, words
 from aleator.reporting._page import Verdict
-from aleator.reporting._tables import objective_text
+from aleator.reporting._showing import unknown
 from aleator.solution import Solution
 from aleator.uncertainty import fields_of
 from aleator.validation import Evidence, Share
@@ -83,15 +82,14 @@ def recommendation(
     """
     for name in labels:
         if name not in design.decisions:
-            known = list(design.decisions)
-            raise ProblemError(f"recommendation: there is no decision '{name}'.{meant(name, known)} Expected {known}.")
+            raise unknown("recommendation: labels", name, design.decisions)
     if not design.ok:
         return Verdict("bad", "Not solved", f"No design to build: {design.why()}", sentences)
     share = confirmation if confirmation is not None or evidence is None or not evidence.violations else evidence.joint
     achieved = objective_text(design, 4)
     cost = "" if nominal is None else f"{objective} {achieved} instead of {objective_text(nominal, 4)}".lstrip()
     rows = {
-        "Build": [f"{label} {text}" for label, text in _decided(design, labels, toleranced=True)],
+        "Build": _decided(design, labels, toleranced=True),
         "Achieves": [f"{objective or f'{design.problem.objective} ='} {achieved}"],
         "Limits broken": _broken(evidence, share, target, who),
         "Other limits": [one.sentence() for one in evidence.compared] if evidence else [],
@@ -124,26 +122,27 @@ def _named(design: Solution, labels: Mapping[str, str]) -> str:
     """The decisions in a sentence, where it can be read in one breath."""
     if not labels or len(labels) > _NAMED:
         return "the design below"
-    return ", ".join(f"{label} {text}" for label, text in _decided(design, labels))
+    return ", ".join(_decided(design, labels))
 
 
-def _decided(design: Solution, labels: Mapping[str, str], toleranced: bool = False) -> Iterator[tuple[str, str]]:
+def _decided(design: Solution, labels: Mapping[str, str], toleranced: bool = False) -> Iterator[str]:
     """The decisions with labels, each with its number and unit; and with the tolerance that is assumed, or chosen:
     `1643 ± 250 N s/m`.
     """
     parameters = {place: getattr(one, "parameters", {}) for place, _, one in fields_of(design.problem.system)}
+    rows = {row.name: row for row in rows_of(solution_document(design)) if row.heading == "Decisions"}
     for name, label in labels.items():
-        at, unit = np.asarray(design.decisions[name], float), unit_of_decision(name, design.problem)
+        at, unit = np.asarray(rows[name].value, float), rows[name].unit
         field, _, kind = name.rpartition(".")
         spread = next((one for one in _SPREADS if one in parameters.get(field, {})), None)
         if at.ndim:
-            yield label, f"{at.size} numbers"
+            yield f"{label} {at.size} numbers"
         elif not toleranced or spread is None or kind in _SPREADS:
-            yield label, number(float(at), 4, unit)
+            yield f"{label} {number(float(at), 4, unit)}"
         else:
             size = value_at(value(f"{field}.{spread}"), design.problem, design.vector)
             said = " (standard deviation)" if spread == "std" else ""
-            yield label, f"{number(float(at), 4)} ± {number(size, 3, unit)}{said}"
+            yield f"{label} {number(float(at), 4)} ± {number(size, 3, unit)}{said}"
 
 
 def _frequency(share: Share, target: float, who: str, compared: Mapping[str, Evidence]) -> str:

@@ -2,7 +2,7 @@
 
 import html
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import Problem
+from aleator.reporting._documents import evidence_on, objective_text, status_words
 from aleator.reporting._numbers import (
     NOTHING,
     given,
@@ -23,21 +24,7 @@ from aleator.reporting._numbers import (
 )
 from aleator.reporting._page import Table
 from aleator.reporting._showing import Facts, chosen, facts_of, figure
-from aleator.reporting._style import (
-    FONT,
-    GRID,
-    INK,
-    MUTED,
-    SIZE,
-    Look,
-    blank,
-    draw,
-    label,
-    limit_line,
-    looks,
-    plain,
-)
-from aleator.reporting._tables import objective_text, status_words
+from aleator.reporting._style import FONT, GRID, INK, MUTED, SIZE, Look, blank, draw, label, limit_line, looks, plain
 from aleator.solution import Solution
 from aleator.sweep import Front, Refused, TradeOff
 from aleator.validation import Evidence
@@ -71,13 +58,10 @@ def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
     return ordered
 
 
-def _bound_unit(front: Front) -> str:
-    return unit_of_limit(front.bound, front.points[0].problem)
-
-
-def _objective_unit(front: Front) -> str:
+def _units_along(front: Front) -> tuple[str, str]:
+    """The units of the bound and of the objective."""
     problem = front.points[0].problem
-    return unit_of(problem.objective, problem)
+    return unit_of_limit(front.bound, problem), unit_of(problem.objective, problem)
 
 
 def front_figure(
@@ -95,7 +79,7 @@ def front_figure(
     on the axis; their hover text says what cannot be met. `limits` are drawn as lines.
     """
     first = next(iter(fronts.values()))
-    drawn = _over_bound(first, (x, x_unit), (y, y_unit) if y else ("Objective", _objective_unit(first)))
+    drawn = _over_bound(first, (x, x_unit), (y, y_unit) if y else ("Objective", _units_along(first)[1]))
     values = [one.objective for front in fronts.values() for one in front.optima if one] + [*limits.values()]
     low, high = min(values, default=0.0), max(values, default=1.0)
     if high - low <= _FLAT * max(abs(low), abs(high)):
@@ -116,22 +100,20 @@ def front_figure(
     return drawn
 
 
-def shadow_price_figure(
-    fronts: Mapping[str, Front], *, x: str = "", y: str = "", x_unit: str = "", y_unit: str = "", scale: float = 1.0
-) -> "Figure":
-    """The value of relaxing a bound: the multiplier along each front, times `scale`; axes as of `front_figure`."""
+def shadow_price_figure(fronts: Mapping[str, Front]) -> "Figure":
+    """The value of relaxing a bound: the multiplier along each front."""
     first = next(iter(fronts.values()))
-    by = _bound_unit(first)
-    price = "Shadow price of the bound", f"{_objective_unit(first) or '1'} per {by}" if by else ""
-    drawn = _over_bound(first, (x, x_unit), (y, y_unit) if y else price, height=360)
+    by, unit = _units_along(first)
+    price = "Shadow price of the bound", f"{unit or '1'} per {by}" if by else ""
+    drawn = _over_bound(first, ("", ""), price, height=360)
     for name, (front, places) in in_order(fronts).items():
-        _add_points(drawn, name, front, looks(fronts)[name], scale * front.shadow_prices, places, cliponaxis=False)
+        _add_points(drawn, name, front, looks(fronts)[name], front.shadow_prices, places, cliponaxis=False)
     return drawn.update_yaxes(rangemode="tozero")
 
 
 def _over_bound(front: Front, x: tuple[str, str], y: tuple[str, str], height: int = 420) -> "Figure":
     """An empty figure over the bound of a front, which is called as in the problem where `x` has no name."""
-    return blank(label(*(x if x[0] else (f"Limit of {front.bound}", _bound_unit(front)))), label(*y), height=height)
+    return blank(label(*(x if x[0] else (f"Limit of {front.bound}", _units_along(front)[0]))), label(*y), height=height)
 
 
 def _add_points(
@@ -204,21 +186,10 @@ def decision(front: Front, name: str | None = None) -> "Figure":
     return drawn.update_layout(showlegend=len(entries) > 1)
 
 
-def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
-    """The evidence on this very design: on its decisions, in a problem with the same text; None if there is none."""
-    if isinstance(solution, Refused):
-        return None
-    for one in known:
-        same = np.array_equal(one.solution.vector, solution.vector)
-        if one.solution is solution or (same and one.solution.problem_text == solution.problem_text):
-            return one
-    return None
-
-
 def points_of(fronts: Mapping[str, Front]) -> list[tuple[str, str, Front, Solution | Refused]]:
     """Each point of some fronts: the name of its front, if there are several, its bound, its front, and what it is."""
     return [
-        (f"{name}, " if len(fronts) > 1 else "", given(value, _bound_unit(front)), front, point)
+        (f"{name}, " if len(fronts) > 1 else "", given(value, _units_along(front)[0]), front, point)
         for name, front in fronts.items()
         for value, point in zip(front.values, front.points, strict=True)
     ]
@@ -257,7 +228,7 @@ def _decided_in(point: Solution, names: Sequence[str]) -> list[str]:
 @facts_of.register(Front)
 def _(front: Front) -> Facts:
     solved, every = int(front.solved.sum()), len(front.points)
-    heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
+    heading = f"Front over {front.bound}: {solved} of {every} points solved"
     reasons = [f"No design at {bound}: {one.why()}" for _, bound, _, one in points_of({"": front}) if not one.ok]
     return Facts(heading, " ".join(reasons), [front_table({"": front})])
 
@@ -363,5 +334,5 @@ def rates_of(front: TradeOff, place: int) -> dict[str, str]:
 @facts_of.register(TradeOff)
 def _(front: TradeOff) -> Facts:
     failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
-    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
+    designs = f"{len(front.solutions)} designs"
     return Facts(f"Trade-off of {words(front.names)}: {designs}", failed, [trade_off_table(front)])

@@ -1,7 +1,7 @@
 """`report`: the results of any problem as one page, verdict first."""
 
 import datetime
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations
@@ -14,6 +14,7 @@ import numpy as np
 from aleator._core.border import a_name, one_of, positive
 from aleator._core.errors import ProblemError
 from aleator.reporting import _fronts, _tables
+from aleator.reporting._documents import HEADINGS, evidence_on, objective_text, rows_of, solution_document, status_words
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
 from aleator.reporting._numbers import units_of_moments, words
@@ -32,9 +33,9 @@ from aleator.reporting._page import (
     write_page,
 )
 from aleator.reporting._paths import trajectory_figure
+from aleator.reporting._samples import percentile_figure
 from aleator.reporting._solutions import mesh_drawing, over_time, search_drawings
-from aleator.reporting._spreads import percentile_figure
-from aleator.reporting._store import provenance
+from aleator.reporting._tables import provenance
 from aleator.solution import Solution
 from aleator.sweep import SAME, EvidenceOfAll, Front, Refused, TradeOff
 from aleator.uncertainty import placements
@@ -80,7 +81,7 @@ def report(
     shown = [*designs.values(), *(point for one in swept.values() for point in one.solutions)]
     checked = [one for each in _named(along, EvidenceOfAll).values() for one in each.by_place.items()]
     for place, one in checked:
-        if not any(_fronts.evidence_on(point, [one]) for point in shown):
+        if not any(evidence_on(point, [one]) for point in shown):
             raise ProblemError(
                 f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
                 "shown: expected al.validate_all(front) of a front among `fronts`."
@@ -116,12 +117,16 @@ def sections(
         return []
     failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
-    paths, counted = evidence_sections(evidence)
+    swept = {name: one for name, one in fronts.items() if isinstance(one, Front) and one.solutions}
+    traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
+    optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, swept)) else []
+    # Known of designs on fronts, and where these open: at the page's own design.
+    known = [*along, *evidence.values()], next((one for one in reversed(list(designs.values())) if one.ok), None)
     every = [
         Section("Designs", [*failed, *_motions(designs), _tables.designs_table(designs, evidence)]),
-        paths,
-        trade_offs_section(designs, fronts, [*along, *evidence.values()]),
-        counted,
+        Section("Trajectories", [*_trajectories(evidence)]),
+        Section("Trade-offs", [*optima, *front_blocks(swept, *known), *trade_off_blocks(traded, *known)]),
+        Section("Evidence", [*_counted(evidence)]),
         Section("Certificate", [_tables.certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
@@ -139,26 +144,12 @@ def _motions(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
             yield Drawing([one.plot()], f"Inputs of {name}, limits and decisions", caption)
 
 
-def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
-    """The chapters on sampled systems: over time, and counted."""
+def _trajectories(evidence: Mapping[str, Evidence]) -> Iterator[Drawing]:
+    """Each limit over time, with the systems that were sampled."""
     told = "Sampled systems over time; those that violate a limit are highlighted."
-    paths = list[Drawing]()
     for name, one in evidence.items():
         for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            paths.append(Drawing([trajectory_figure(one, limit)], f"{limit} of {name}", told))
-    return Section("Trajectories", paths), Section("Evidence", [*_counted(evidence)])
-
-
-def trade_offs_section(
-    designs: Mapping[str, Solution], fronts: Mapping[str, Front | TradeOff], known: Sequence[Evidence]
-) -> Section:
-    """The chapter on fronts, linked with the evidence that is known of designs on them."""
-    swept = {name: one for name, one in fronts.items() if isinstance(one, Front) and one.solutions}
-    traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
-    optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, swept)) else []
-    # The page opens where its design is.
-    shown = next((one for one in reversed(list(designs.values())) if one.ok), None)
-    return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
+            yield Drawing([trajectory_figure(one, limit)], f"{limit} of {name}", told)
 
 
 def whole_page(
@@ -218,36 +209,28 @@ def choice(
     - `evidence`: on this design; `wishes`: their values and rates, where the objective is a weighted sum of wishes.
     """
     if isinstance(point, Refused):
-        return Choice(name, [Table("Certificate", ["", ""], [["Status", _tables.status_words(point)]], point.reason)])
-    rows = list(_tables.rows_of(_tables.solution_document(point, evidence)))
+        return Choice(name, [Table("Certificate", ["", ""], [["Status", status_words(point)]], point.reason)])
+    rows = list(rows_of(solution_document(point, evidence)))
     alarms = [] if evidence is None or evidence.agrees else [evidence.alarm()]
     alarms += [one.sentence() for one in evidence.compared] if evidence else [_UNCHECKED]
-
-    achieved = wishes or {str(point.problem.objective): _tables.objective_text(point)}
-
-    def facts(caption: str, *kinds: str, note: str = "") -> Table:
-        return Table(caption, ["", ""], [[row.label, row.text] for row in rows if row.kind in kinds], note)
-
-    tables = [
-        facts("Decisions", "Decisions"),
-        Table("Wishes" if wishes else "Objective", ["", ""], [[*one] for one in achieved.items()]),
-        facts("Limits", "Limits", "Active"),
-        facts(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", "Shadow prices"),
-        facts("Statistics", "Statistics"),
-        facts("Evidence", "Evidence", note=" ".join(alarms)),
-    ]
-    certificate = facts("Certificate", "Status", "Certificate", note="" if point.ok else point.why())
+    notes = {"Evidence": " ".join(alarms), "Certificate": "" if point.ok else point.why()}
+    headed = {heading: [[row.name, row.text] for row in rows if row.heading == heading] for heading in HEADINGS}
+    captions = {heading: heading for heading in HEADINGS}
+    if wishes:
+        headed["Objective"] = [[*one] for one in wishes.items()]
+        captions |= {"Objective": "Wishes", "Shadow prices": "Shadow prices in the weighted sum of the wishes"}
+    tables = [Table(captions[one], ["", ""], headed[one], notes.get(one, "")) for one in HEADINGS]
     # That there is no design comes first.
-    every = [*tables, certificate] if point.ok else [certificate, *tables]
+    every = tables if point.ok else [tables[-1], *tables[:-1]]
     figures = [one.draw(point, one.name).update_layout(height=300, meta=one.name) for one in over_time(point)]
     return Choice(name, [one for one in every if one.rows or one.note], figures)
 
 
 def front_blocks(
-    fronts: Mapping[str, Front], evidence: Iterable[Evidence] = (), recommended: Solution | None = None
+    fronts: Mapping[str, Front], evidence: Sequence[Evidence] = (), recommended: Solution | None = None
 ) -> list[Linked]:
     """For each swept bound: the optimum and the shadow price along it, and the designs."""
-    known, blocks = list(evidence), []
+    blocks = []
     for bound in dict.fromkeys(one.bound for one in fronts.values()):
         # A study names the front of its design by the bound.
         group = {"design" if name == bound else name: one for name, one in fronts.items() if one.bound == bound}
@@ -258,7 +241,7 @@ def front_blocks(
         )
         heading = f"Optimum against the limit of {bound}"
         figures = [_fronts.front_figure(group), _fronts.shadow_price_figure(group)]
-        blocks.append(linked_front(group, figures, heading, caption, evidence=known, recommended=recommended))
+        blocks.append(linked_front(group, figures, heading, caption, "", evidence, recommended))
     return blocks
 
 
@@ -268,7 +251,7 @@ def linked_front(
     heading: str,
     caption: str = "",
     number: str = "",
-    evidence: Iterable[Evidence] = (),
+    evidence: Sequence[Evidence] = (),
     recommended: Solution | None = None,
 ) -> Linked:
     """Figures of fronts along one bound, linked with the designs.
@@ -276,23 +259,21 @@ def linked_front(
     - `figures`: of all these fronts in the same order, by `front_figure` or `shadow_price_figure`; `evidence`: on some
       of the designs; `recommended`: the design to build: the one nearest to it is shown first.
     """
-    known, points = list(evidence), _fronts.points_of(fronts)
+    points = _fronts.points_of(fronts)
     choices = [
-        choice(f"{before}{front.bound}: {bound}", point, _fronts.evidence_on(point, known))
+        choice(f"{before}{front.bound}: {bound}", point, evidence_on(point, evidence))
         for before, bound, front, point in points
     ]
-    doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
+    told = " ".join([caption, *(f"{name}: {one}." for name, front in fronts.items() for one in front.doubts())])
     chosen = _nearest([point for *_, point in points], recommended)
-    return Linked(
-        figures, heading, _fronts.front_table(fronts, known), choices, chosen, " ".join([caption, *doubts]), number
-    )
+    return Linked(figures, heading, _fronts.front_table(fronts, evidence), choices, chosen, told, number)
 
 
 def trade_off_blocks(
-    fronts: Mapping[str, TradeOff], evidence: Iterable[Evidence] = (), recommended: Solution | None = None
+    fronts: Mapping[str, TradeOff], evidence: Sequence[Evidence] = (), recommended: Solution | None = None
 ) -> list[Linked]:
     """For each trade-off: a figure for each pair of wishes, and the designs."""
-    known, blocks = list(evidence), []
+    blocks = []
     caption = "Each point is a certified design: none other is better in all wishes."
     for name, front in fronts.items():
         if not front.solutions:
@@ -301,7 +282,8 @@ def trade_off_blocks(
         for place, (row, one) in enumerate(zip(table.rows, front.solutions, strict=True)):
             wishes = dict(zip(front.names, row, strict=False))
             title = ", ".join(f"{wish}: {value}" for wish, value in wishes.items())
-            choices.append(choice(title, one, _fronts.evidence_on(one, known), wishes | _fronts.rates_of(front, place)))
+            wishes |= _fronts.rates_of(front, place)
+            choices.append(choice(title, one, evidence_on(one, evidence), wishes))
         figures = [_fronts.pair_figure(front, *pair) for pair in combinations(range(len(front.names)), 2)]
         first = _nearest(front.solutions, recommended)
         blocks.append(Linked(figures, f"Trade-off: {name}", table, choices, first, caption))
@@ -338,7 +320,7 @@ def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) 
                 continue
             gap = abs(design.objective - point.objective)
             if gap > SAME * max(abs(design.objective), abs(point.objective)):
-                both = f"{_tables.objective_text(design)} and {_tables.objective_text(point)}"
+                both = f"{objective_text(design)} and {objective_text(point)}"
                 sentences.append(
                     f"'{name}' and the front at {front.bound} = {bound} are optima of one problem, {both}: the higher "
                     "one is local, and neither need be the least. al.multistart and al.portfolio look for others."

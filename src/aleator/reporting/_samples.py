@@ -1,10 +1,13 @@
-"""Figures and facts of what is sampled or expanded: evidence on one design and on many, functions, tolerances."""
+"""Figures of spreads: densities against limits, percentiles, shares, bars; and figures and facts of what is sampled or
+expanded: evidence, functions, tolerances.
+"""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
 from aleator._core.border import positive
@@ -13,13 +16,33 @@ from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, Tolera
 from aleator.design import AbstractFunctional, functionals_of
 from aleator.reporting._numbers import count, given, number, percent, share_text
 from aleator.reporting._page import Table
-from aleator.reporting._paths import add_cloud, add_means, components, limits_of, paths_of, timeline, trajectory_figure
+from aleator.reporting._paths import (
+    DRAWN,
+    add_histories,
+    add_means,
+    components,
+    limits_of,
+    paths_of,
+    timeline,
+    trajectory_figure,
+)
 from aleator.reporting._showing import Facts, chosen, facts_of, figure
-from aleator.reporting._spreads import bars_figure, density_figure, shares_figure
-from aleator.reporting._style import plain
+from aleator.reporting._style import (
+    ALARM,
+    CLOUD,
+    MUTED,
+    SIZE,
+    Look,
+    blank,
+    draw,
+    label,
+    limit_line,
+    looks,
+    padded,
+    plain,
+)
 from aleator.reporting._tables import evidence_table, violations_table
-from aleator.sweep import EvidenceOfAll
-from aleator.validation import Evidence
+from aleator.validation import Evidence, Sampled, Share
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -32,6 +55,99 @@ _POINTS, _SAMPLE = 201, 4096
 _MOST = 12
 
 
+# --- Figures of spreads ----------------------------------------------------------------------------------------------
+
+
+def density_figure(
+    values: Float[np.ndarray, " n"],
+    densities: Mapping[str, Float[np.ndarray, " n"]],
+    *,
+    x: str,
+    unit: str = "",
+    limits: Sequence[float] = (),
+    tails: Sequence[str] = (),
+    logarithmic: bool = False,
+    title: str = "",
+) -> "Figure":
+    """Probability densities of one quantity against its limits; the area beyond them is filled.
+
+    `tails` are the probabilities below and above the limits. Tails too thin to be seen show on a `logarithmic` axis.
+    """
+    per = f"1/({unit})" if any(sign in unit for sign in "/· ") else f"1/{unit}" if unit else ""
+    figure = blank(label(x, unit), label("Density", per), title=title, height=380)
+    for name, look in looks(densities).items():
+        draw(figure, values, densities[name], look, name=name, mode="lines")
+    if densities and len(limits) == 2:
+        first = next(iter(densities.values()))
+        filled = {"fill": "tozeroy", "fillcolor": ALARM, "opacity": 0.5, "line_width": 0, "showlegend": False}
+        for side, limit in zip((-1, 1), limits, strict=True):
+            # The limits need not be among the values.
+            beyond = np.sort(np.append(values[side * (values - limit) > 0], limit))
+            draw(figure, beyond, np.interp(beyond, values, first), ALARM, mode="lines", hover=None, **filled)
+    for limit in limits:
+        limit_line(figure, limit, f"limit {given(limit, unit)}", axis="x")
+    above = {"yref": "y domain", "y": 0.98, "yanchor": "top", "showarrow": False}
+    for text, limit, anchor, shift in zip(tails, limits, ("right", "left"), (-18, 6), strict=False):
+        font, written = {"size": SIZE - 1, "color": ALARM}, "<br>".join(map(plain, text.splitlines()))
+        figure.add_annotation(x=limit, text=written, xanchor=anchor, xshift=shift, font=font, **above)
+    figure.update_xaxes(range=padded([*values[[0, -1]], *limits], 0.02))
+    return figure.update_yaxes({"type": "log", "dtick": 2} if logarithmic else {"rangemode": "tozero"})
+
+
+def percentile_figure(sampled: Mapping[str, Sampled], *, x: str, unit: str = "") -> "Figure":
+    """The sampled spread of one quantity for several designs: 5 to 95 %, 25 to 75 %, the median and the mean."""
+    figure = blank(label(x, unit), "", height=120 + 64 * len(sampled))
+    for name, look in looks(sampled).items():
+        if (levels := sampled[name].percentiles) is not None:
+            known = zip(("lowerfence", "q1", "median", "q3", "upperfence"), levels[1:6], strict=True)
+            colours = {"line_color": look.colour, "fillcolor": look.fill(0.3), "showlegend": False}
+            box = {end: [float(level)] for end, level in known} | {"mean": [float(sampled[name].mean)]} | colours
+            figure.add_box(y=[plain(name)], name=plain(name), orientation="h", width=0.4, **box)
+    return figure.update_yaxes(type="category", autorange="reversed", showgrid=False)
+
+
+def shares_figure(
+    places: Sequence[str], shares: Mapping[str, Sequence[Share | None]], *, x: str = "", y: str
+) -> "Figure":
+    """How many systems, in percent, break each limit at each place, with their intervals; nothing where it is None.
+
+    Raises `ProblemError` where none is counted.
+    """
+    if not places or not shares:
+        raise ProblemError("plot.violations: expected a limit that single systems can break; received none.")
+    figure = blank(plain(x), label(y, "%"), height=380)
+    for name, look in looks(shares).items():
+        known = {plain(place): one for place, one in zip(places, shares[name], strict=True) if one is not None}
+        draw_shares(figure, [*known], [*known.values()], look, name=name, mode="markers", cliponaxis=False)
+    figure.update_layout(showlegend=len(shares) > 1)
+    figure.update_xaxes(type="category", categoryorder="array", categoryarray=[plain(place) for place in places])
+    return figure.update_yaxes(rangemode="tozero")
+
+
+def draw_shares(figure: "Figure", x: Sequence[Any], shares: Sequence[Share], look: Look, **style: Any) -> None:
+    """Shares in percent, with their confidence intervals as error bars."""
+    bars = {
+        "type": "data",
+        "array": [100 * (one.upper - one.estimate) for one in shares],
+        "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
+        **{"symmetric": False, "color": look.colour, "thickness": 1.5, "width": 4},
+    }
+    over = {"text": [plain(share_text(one)) for one in shares], "hover": "%{text}"}
+    draw(figure, x, [100 * one.estimate for one in shares], look, error_y=bars, **over, **style)
+
+
+def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str = "") -> "Figure":
+    """Grouped bars: one colour for each group, one position for each name."""
+    figure = blank("", label(y, unit), height=360)
+    for name, look in looks(groups).items():
+        shown = groups[name]
+        texts = [number(value, 3) if value % 1 else count(int(value)) for value in shown.values()]
+        written = {"text": texts, "textposition": "outside", "cliponaxis": False, "marker_color": look.colour}
+        figure.add_bar(x=[plain(one) for one in shown], y=[*shown.values()], name=plain(name), **written)
+    figure.update_layout(barmode="group", bargap=0.35)
+    return figure.update_yaxes(rangemode="tozero", linecolor=MUTED)
+
+
 # --- Evidence --------------------------------------------------------------------------------------------------------
 
 
@@ -40,7 +156,9 @@ def evidence_figure(evidence: Evidence) -> "Figure":
     """The limit that most systems break: these over time against it, or the density of the number that it limits;
     without such a limit, what there is of trajectories or densities.
     """
-    paths, densities = [one.name for one in evidence.trajectories], _limited(evidence)
+    paths, problem = [one.name for one in evidence.trajectories], evidence.solution.problem
+    varied = {text: one for text, one in _numbers(evidence).items() if _varies(evidence.functionals[text].values)}
+    densities = {name: text for text, one in varied.items() for name in limits_of(problem, one).names}
     worst = _most_broken(evidence, [*paths, *densities])
     if worst in paths or (worst is None and paths):
         return trajectories(evidence, worst)
@@ -70,7 +188,7 @@ def sampled_band(evidence: Evidence, output: str | None = None, *, sigmas: float
     times, drawn = evidence.solution.times_of(functional), timeline(name, limits.unit, limits.texts)
     kept = [one.values for one in evidence.trajectories if one.name in limits.names]
     if kept:
-        add_cloud(drawn, times, kept[0])
+        add_histories(drawn, times, kept[0][:DRAWN], CLOUD, f"{len(kept[0][:DRAWN])} systems")
     means = components(f"sampled mean of {name}", sampled.mean, sampled.std)
     means |= components(f"mean of {name} by the expansion", sampled.expanded_mean)
     return add_means(drawn, times, means, limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas))
@@ -82,8 +200,11 @@ def sampled_density(evidence: Evidence, functional: str | None = None) -> "Figur
 
     - `functional`: its text, such as `"rms(x)"`, or the name of its output where that tells it apart.
     """
-    declared = _number(evidence, "plot.density", functional)
-    name, one = declared.text(), evidence.functionals[declared.text()]
+    known = _numbers(evidence)
+    of_output = [text for text, one in known.items() if one.outputs == (functional,)]
+    nothing = "expected a functional that is one number of each system, such as al.rms('x'); received none."
+    name, declared = chosen("plot.density", of_output[0] if len(of_output) == 1 else functional, known, nothing)
+    one = evidence.functionals[name]
     (edges, heights), limits = _steps(one.values), limits_of(evidence.solution.problem, declared)
     broken = [(each, share) for each, share in evidence.violations.items() if each in limits.names]
     lines = [f"{share_text(share)} violate {plain(each)}" for each, share in broken]
@@ -113,19 +234,6 @@ def _numbers(evidence: Evidence) -> dict[str, AbstractFunctional]:
     return {one.text(): one for one in every if evidence.functionals[one.text()].values is not None}
 
 
-def _limited(evidence: Evidence) -> dict[str, str]:
-    """The text of such a functional that varies by the limit that is on it alone."""
-    varied = {text: one for text, one in _numbers(evidence).items() if _varies(evidence.functionals[text].values)}
-    return {name: text for text, one in varied.items() for name in limits_of(evidence.solution.problem, one).names}
-
-
-def _number(evidence: Evidence, what: str, functional: str | None) -> AbstractFunctional:
-    known = _numbers(evidence)
-    of_output = [text for text, one in known.items() if one.outputs == (functional,)]
-    nothing = "expected a functional that is one number of each system, such as al.rms('x'); received none."
-    return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, nothing)[1]
-
-
 def _varies(values: np.ndarray | None) -> bool:
     return values is not None and bool(values.size) and np.ptp(values) > 1e-12 * float(np.max(np.abs(values)))
 
@@ -149,30 +257,6 @@ def _(evidence: Evidence) -> Facts:
     tables = [violations_table({"": evidence}), evidence_table({"": evidence})]
     heading = f"Evidence: {count(evidence.samples)} fresh systems" if evidence.alone is None else "Evidence: one system"
     return Facts(heading, "" if evidence.agrees else evidence.alarm(), [one for one in tables if one.rows])
-
-
-@figure(EvidenceOfAll, "violations")
-def violations_of_all(along: EvidenceOfAll) -> "Figure":
-    """How many systems of each design break each limit, with 95 % confidence intervals."""
-    shares = {name: [one.violations.get(name) if one else None for one in along.evidence] for name in _counted(along)}
-    return shares_figure(along.places, shares, x="Design", y="Systems that break the limit")
-
-
-def _counted(along: EvidenceOfAll) -> list[str]:
-    """The limits that are counted on any design."""
-    return list(dict.fromkeys(name for one in along.evidence if one for name in one.violations))
-
-
-@facts_of.register(EvidenceOfAll)
-def _(along: EvidenceOfAll) -> Facts:
-    names = _counted(along)
-    rows = [
-        [place, *(share_text(one.violations.get(name)) if one else along.refused[i] for name in names)]
-        for i, (place, one) in enumerate(zip(along.places, along.evidence, strict=True))
-    ]
-    heading = f"Evidence on {len(along.designs)} designs{', interrupted' * along.interrupted}"
-    sentence = "" if along.agrees else "Samples contradict some of the designs, or these could not be simulated."
-    return Facts(heading, sentence, [Table("Systems that break limits, with 95 % intervals", ["design", *names], rows)])
 
 
 # --- Expanded functions ----------------------------------------------------------------------------------------------

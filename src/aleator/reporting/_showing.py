@@ -110,7 +110,8 @@ def page_of(result: Any) -> str:
     except Exception:
         # A notebook would show the trace of this in the place of the result, which can be printed all the same.
         facts = Facts(type(result).__name__)
-    return templates().get_template("notebook.html.j2").render(facts=facts, printed=str(result))
+    early = ", interrupted" if getattr(result, "interrupted", False) is True else ""
+    return templates().get_template("notebook.html.j2").render(facts=facts, early=early, printed=str(result))
 
 
 @facts_of.register(AbstractMechanical)

@@ -11,17 +11,10 @@ from aleator._core.border import positive, whole
 from aleator._core.errors import ProblemError
 from aleator.design import functionals_of, history
 from aleator.nlp import Searched
+from aleator.reporting._documents import solution_document, status_words
 from aleator.reporting._numbers import given, number, residual, unit_of, unit_of_decision, units_of_outputs
 from aleator.reporting._page import Drawing
-from aleator.reporting._paths import (
-    add_means,
-    components,
-    histories_figure,
-    limits_of,
-    limits_text,
-    paths_of,
-    timeline,
-)
+from aleator.reporting._paths import add_means, components, histories_figure, limits_of, limits_text, paths_of, timeline
 from aleator.reporting._showing import Facts, chosen, facts_of, figure
 from aleator.reporting._style import (
     ALARM,
@@ -39,7 +32,7 @@ from aleator.reporting._style import (
     short,
     stacked,
 )
-from aleator.reporting._tables import designed, rows_of, side_by_side, solution_document, status_words
+from aleator.reporting._tables import designed, side_by_side
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.solving import simulate_systems
 from aleator.uncertainty import AbstractDecision, placements
@@ -195,15 +188,6 @@ def decisions(solution: Solution) -> "Figure":
     return drawn.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
 
 
-def _inputs_figure(solution: Solution, names: Sequence[str]) -> "Figure":
-    """Inputs of one unit in one figure."""
-    moments, motions = solution.inputs.moments, solution.inputs
-    paths = [components(name, moments[name].mean, moments[name].std) for name in names]
-    drawn = timeline(", ".join(names), motions.units.get(names[0], ""), title=_warning(solution))
-    means = {part: one for each in paths for part, one in each.items()}
-    return add_means(drawn, np.asarray(motions.times_of(names[0])), means)
-
-
 def _over_time(solution: Solution) -> Mapping[str, str]:
     """Which of the outputs, inputs and states of a system each is, by name. Raises `ProblemError` without time."""
     problem, vector = solution.problem, jax_array(solution.vector)
@@ -217,14 +201,17 @@ def _over_time(solution: Solution) -> Mapping[str, str]:
 
 def _decided_inputs(solution: Solution) -> "list[Figure]":
     """The inputs that are decided, those of one unit and phase together."""
-    names = [name for name, one in solution.problem.inputs.items() if placements(one).decisions]
-    if not names:
-        return []
-    motions, alike = solution.inputs, dict[Any, list[str]]()
-    for name in names:
-        unit, times = motions.units.get(name) or name, np.asarray(motions.times_of(name))
-        alike.setdefault((unit, times.tobytes()), []).append(name)
-    return [_inputs_figure(solution, each) for each in alike.values()]
+    alike, figures = dict[Any, list[str]](), []
+    for name in (name for name, one in solution.problem.inputs.items() if placements(one).decisions):
+        times = np.asarray(solution.inputs.times_of(name))
+        alike.setdefault((solution.inputs.units.get(name) or name, times.tobytes()), []).append(name)
+    for names in alike.values():
+        motions, moments, means = solution.inputs, solution.inputs.moments, dict[str, Any]()
+        for name in names:
+            means |= components(name, moments[name].mean, moments[name].std)
+        drawn = timeline(", ".join(names), motions.units.get(names[0], ""), title=_warning(solution))
+        figures.append(add_means(drawn, np.asarray(motions.times_of(names[0])), means))
+    return figures
 
 
 def _between_bounds(solution: Solution) -> dict[str, AbstractDecision]:
@@ -240,7 +227,7 @@ def _warning(solution: Solution) -> str:
 
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
-    table = side_by_side("", {"": {**designed(rows_of(solution_document(solution))), "Solver": solution.effort.solver}})
+    table = side_by_side("", {"": {**designed(solution_document(solution)), "Solver": solution.effort.solver}})
     return Facts(f"Solution: {status_words(solution)}", "" if solution.ok else solution.why(), [table])
 
 

@@ -186,7 +186,7 @@ class Draft:
 
     def save(self, folder: Path) -> list[Path]:
         """Write all results as netCDF and JSON files; returns their paths. An earlier page is removed."""
-        return list(reporting.save_study(folder, self.kept))
+        return list(reporting.save_all(folder, self.kept, reporting.PAGE))
 
     def write(self, folder: Path) -> Path:
         """Write the page; returns its path."""
