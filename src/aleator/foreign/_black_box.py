@@ -1,5 +1,7 @@
-"""`BlackBox`: any function or command line as the model of an uncertainty analysis, and how its samples run."""
+"""`BlackBox`: any function or command line as the model of an uncertainty analysis; its samples, and their journal."""
 
+import hashlib
+import json
 import math
 import uuid
 from collections import Counter, deque
@@ -18,9 +20,9 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import identity_of, joined
+from aleator._core.journalled import read_lines
 from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
-from aleator.foreign._command import Command, Isolated
-from aleator.foreign._journal import Journal
+from aleator.foreign._command import Command, Isolated, arrays_of
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
 _IN_FLIGHT = 256
@@ -28,6 +30,8 @@ _IN_FLIGHT = 256
 _NARROW = 0.5
 # As many inputs as a warning names, and as much of a reason as a message repeats.
 _MOST_NAMED, _LONGEST = 3, 240
+# The first line of a journal.
+_HEADER = {"journal": "aleator.foreign", "version": 1}
 
 
 @final
@@ -79,7 +83,7 @@ class BlackBox(AbstractBox):
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
         self._inner = function.function if isinstance(function, Isolated) else function
         self._unlike = self._version or uuid.uuid4().hex
-        self._journal = Journal(journal)
+        self._journal = _Journal(journal)
         self.__name__ = name_of(function).strip("'")
 
     @property
@@ -276,3 +280,71 @@ class Samples:
         among = np.all((values >= low) & (values <= high), axis=1)
         ranges = ", ".join(f"{names[i]} from {low[i]:.4g} to {high[i]:.4g}" for i in sorted(narrow))
         return f"They lie within {ranges}, where {len(dropped)} of {np.count_nonzero(among)} samples failed."
+
+
+@final
+class _Journal:
+    """Outputs by a digest of the `box`, which is set before each use, and of all numbers of its model.
+
+    A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
+    cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
+    Numbers are written with all their digits, so that outputs read back are the same to the last bit.
+
+    Raises `ProblemError` if the file is no journal, or cannot be read or written.
+    """
+
+    def __init__(self, path: Any):
+        self.box = ""
+        self.path = None if path is None else Path(border.one_of("BlackBox: journal", path, (str, Path))).absolute()
+        self._known: dict[tuple[str, str], Pytree] = {}
+        if self.path is None:
+            return
+        try:
+            content = read_lines(self.path)
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {self.path} cannot be read ({error.strerror}).") from error
+        lines = [line.value for line in content.lines]
+        if (lines or content.cut) and lines[:1] != [_HEADER]:
+            raise border.refusal(
+                "BlackBox: journal", "the path of a journal, or of a file that does not exist yet", path
+            )
+        for line in lines[1:]:
+            with suppress(TypeError, KeyError, SimulationError):
+                self._known[line["box"], line["key"]] = arrays_of(line["outputs"])
+
+    def key(self, realisation: Realisation) -> str:
+        """What identifies a sample: all numbers of its model, and whatever else the model holds, as text."""
+        named = jax.tree_util.tree_leaves_with_path(realisation.model)
+        leaves = [(jax.tree_util.keystr(path), leaf) for path, leaf in named]
+        text = json.dumps([str(jax.tree.structure(realisation.model)), leaves], default=_text)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def find(self, key: str) -> Pytree | None:
+        """The outputs of a finished sample; None if it is not known."""
+        return self._known.get((self.box, key))
+
+    def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
+        """Keep a finished sample, unless it is kept already."""
+        if self.find(key) is not None:
+            return
+        self._known[self.box, key] = outputs
+        if self.path is None:
+            return
+        line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": outputs}
+        text = json.dumps(line, default=np.ndarray.tolist)
+        if not same_shapes(arrays_of(json.loads(text)["outputs"]), outputs):
+            raise border.refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
+        with border.writing("BlackBox: the journal", self.path) as path, path.open("a+b") as file:
+            if file.seek(0, 2) == 0:
+                file.write(f"{json.dumps(_HEADER)}\n".encode())
+            else:
+                file.seek(-1, 2)
+                # A line that a killed process left unfinished is ended, so that it spoils no other.
+                file.write(b"" if file.read(1) == b"\n" else b"\n")
+            file.write(f"{text}\n".encode())
+
+
+def _text(leaf: Any) -> Any:
+    """A leaf that JSON does not have, with all its digits if it has numbers."""
+    is_array = isinstance(leaf, np.ndarray | np.generic) and leaf.dtype != object
+    return [str(leaf.dtype), leaf.shape, leaf.tolist()] if is_array else repr(leaf)

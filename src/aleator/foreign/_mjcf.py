@@ -95,11 +95,11 @@ def _compiled(path: str | Path, reading: Reading) -> Model:
         warnings.simplefilter("always")
         try:
             specification = _library().MjSpec.from_file(str(path))
-            reading.effects["flex"] = [f"flex '{flex.name}'" for flex in specification.flexes]
+            reading.effects["flex"] += [f"flex '{flex.name}'" for flex in specification.flexes]
             _delete(specification, specification.flexes)
-            _remove_files(specification, reading)
             # Bodies keep their names and places.
             specification.compiler.fusestatic = False
+            _remove_files(specification, reading)
             model = specification.compile()
         except ProblemError:
             raise
@@ -111,42 +111,37 @@ def _compiled(path: str | Path, reading: Reading) -> Model:
 
 
 def _remove_files(specification: Any, reading: Reading) -> None:
-    """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them."""
+    """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them.
+
+    Raises `ProblemError` for inertia from a mesh: where that of a moving body hangs on the size of spheres instead.
+    """
     shapes = [geom for geom in specification.geoms if geom.meshname or geom.hfieldname]
-    for geom in shapes:
-        if _gives_inertia(specification, geom):
-            raise reading.broken(
-                f"body '{geom.parent.name}'",
-                f"expected its inertia in numbers; received a mesh ('{geom.meshname or geom.name}') to compute it "
-                "from, which is not read. Give the body an <inertial> with pos, mass and fullinertia (MuJoCo writes "
-                "the numbers that it computes itself by mj_saveLastXML).",
-            )
-    if shapes:
-        reading.notes.append(f"Meshes and height fields are not read ({len(shapes)}).")
-        names = {geom.name for geom in shapes if geom.name}
-        _delete(specification, [pair for pair in specification.pairs if {pair.geomname1, pair.geomname2} & names])
-        _delete(specification, shapes)
+    named = [geom.meshname or geom.name for geom in shapes]
     for owner in (*specification.geoms, *specification.sites, *specification.tendons):
         owner.material = ""
+    for shape in shapes:
+        shape.type, shape.meshname, shape.hfieldname = _library().mjtGeom.mjGEOM_SPHERE, "", ""
     for parts in ("sensors", "tuples", "skins", "meshes", "hfields", "materials", "textures"):
         _delete(specification, getattr(specification, parts))
-
-
-def _gives_inertia(specification: Any, geom: Any) -> bool:
-    """Whether the inertia of a moving body is computed from a shape."""
-    kinds, moving = _library().mjtInertiaFromGeom, geom.parent
-    while moving is not None and moving.name != "world" and not len(moving.joints):
-        moving = moving.parent
-    # Bodies of an attached file keep its settings.
-    settings = getattr(geom.parent, "compiler", specification.compiler)
-    rule, (first, last) = settings.inertiafromgeom, settings.inertiagrouprange
-    is_fixed = moving is None or moving.name == "world"
-    if is_fixed or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
-        return False
-    if rule != kinds.mjINERTIAFROMGEOM_TRUE and geom.parent.explicitinertial:
-        return False
-    # A mass that is not given is NaN.
-    return geom.mass != 0 and (geom.mass > 0 or geom.density > 0)
+    if not shapes:
+        return
+    models = list[Model]()
+    for size in (1, 2):
+        for shape in shapes:
+            shape.size = [size] * 3
+        models.append(specification.compile())
+    hangs = np.any([one.body_inertia != other.body_inertia for one, other in [models]], axis=(0, 2))
+    if (bodies := np.flatnonzero(hangs & (models[0].body_weldid > 0))).size:
+        name = next((name for name, shape in zip(named, shapes, strict=True) if shape.parent.id == bodies[0]), named[0])
+        raise reading.broken(
+            f"body '{models[0].body(bodies[0]).name}'",
+            f"expected its inertia in numbers; received a mesh ('{name}') to compute it from, which is not read. Give "
+            "the body an <inertial> with pos, mass and fullinertia (MuJoCo writes the numbers that it computes itself "
+            "by mj_saveLastXML).",
+        )
+    for shape in shapes:
+        shape.mass = 0
+    reading.notes.append(f"Meshes and height fields are not read ({len(shapes)}).")
 
 
 def _delete(specification: Any, parts: Collection[Any]) -> None:
@@ -165,7 +160,7 @@ def _note_effects(model: Model, reading: Reading) -> None:
     def add(effect: str, kind: str, places: Iterable[Any]) -> None:
         names = [(int(i), getattr(model, kind)(int(i)).name) for i in places]
         elements = [f"{kind} '{name}'" if name else f"{kind} {i} (without a name)" for i, name in names]
-        reading.effects.setdefault(effect, []).extend(elements)
+        reading.effects[effect] += elements
 
     for effect, kind, fields, flags in _EFFECTS:
         # Fields that an older MuJoCo does not have are zero.
@@ -180,7 +175,7 @@ def _note_effects(model: Model, reading: Reading) -> None:
     if not (_is_disabled(model, "SPRING") and _is_disabled(model, "DAMPER")):
         is_weightless = _is_disabled(model, "GRAVITY") or not np.any(model.opt.gravity)
         add("gravcomp", "body", [] if is_weightless else np.flatnonzero(model.body_gravcomp))
-        reading.effects["fluid"] = ["option"] * (model.opt.density > 0 or model.opt.viscosity > 0)
+        reading.effects["fluid"] += ["option"] * (model.opt.density > 0 or model.opt.viscosity > 0)
     add("plugins", "body", np.flatnonzero(model.body_plugin >= 0))
     for count, note in (
         (model.nu, "Actuators are not read ({}): each joint has a torque of its own."),
@@ -237,12 +232,12 @@ def _read_body(model: Model, body: int, joints: dict[int, str], reading: Reading
         if _is_link_itself(model, joint):
             mine = _joint(model, joint)
             break
-        reading.carrier(joints[joint], parent, _joint(model, joint), (geometry(position), orientation(turned)))
+        reading.link(joints[joint], parent, _joint(model, joint), (geometry(position), orientation(turned)))
         parent, position, turned = joints[joint], -anchor, Rotation.identity()
     inertia = moments(np.diag(model.body_inertia[body]), _rotation(model.body_iquat[body]))
     place = geometry(position), orientation(turned)
-    mass, center = float(model.body_mass[body]), geometry(model.body_ipos[body])
-    reading.link(_link_name(model, body), parent, mine, place, mass, center, inertia)
+    weight = {"mass": float(model.body_mass[body]) or 0, "center": geometry(model.body_ipos[body]), "inertia": inertia}
+    reading.link(_link_name(model, body), parent, mine, place, **weight)
 
 
 def _joint(model: Model, joint: int) -> AbstractJoint:
@@ -283,7 +278,7 @@ def _equations(
 
     A weld of a loop in one plane is not held: it would say three things twice, and so leave its forces undetermined.
     """
-    loops, couplings, others = dict[str, Closure](), dict[str, Coupling](), reading.effects.setdefault("equality", [])
+    loops, couplings, others = dict[str, Closure](), dict[str, Coupling](), reading.effects["equality"]
     if _is_disabled(model, "CONSTRAINT", "EQUALITY"):
         return loops, couplings
     for index in np.flatnonzero(model.eq_active0).tolist():

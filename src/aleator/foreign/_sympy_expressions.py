@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.special  # The text names it.
@@ -18,7 +19,7 @@ from jaxtyping import Array
 
 from aleator._core.border import meant, one_of, refusal, shown
 from aleator._core.errors import ProblemError, optional
-from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
+from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape, stored_numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 # Functions that SymPy's printer does not know of JAX.
@@ -38,11 +39,6 @@ def time_symbol() -> Any:
     """The time of SymPy's mechanics."""
     mechanics: Any = load_sympy("from_sympy").physics.mechanics
     return mechanics.dynamicsymbols._t
-
-
-def units_given(who: str, units: Any) -> dict[str, str]:
-    """Units of outputs by name."""
-    return dict(one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}"))
 
 
 # --- Expressions and what they contain --------------------------------------------------------------------------------
@@ -216,6 +212,28 @@ class Program:
     def by_name(self, values: Sequence[Any]) -> dict[str, Array]:
         """The value of each expression, by its name."""
         return dict(zip(self.names, self(values), strict=True))
+
+
+class AbstractFromSymPy(Module):
+    """What was written in SymPy: the numbers of its symbols, and programs, which are its structure.
+
+    - `numbers`: by the names of symbols; programs take their values in the order of the alphabet;
+    - `formulas`: the outputs; `declared`: their units.
+    """
+
+    numbers: dict[str, Any] = eqx.field(kw_only=True)
+    formulas: Program = eqx.field(static=True, kw_only=True)
+    declared: tuple[tuple[str, str], ...] = eqx.field(static=True, kw_only=True)
+
+    units = property(lambda self: dict(self.declared))
+
+    def _values(self) -> list[Any]:
+        return [self.numbers[name] for name in sorted(self.numbers)]
+
+
+def units_given(who: str, units: Any) -> tuple[tuple[str, str], ...]:
+    """Units of outputs by name."""
+    return tuple(one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}").items())
 
 
 def written(what: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:

@@ -9,7 +9,7 @@ import tempfile
 import threading
 import weakref
 from multiprocessing.spawn import get_executable
-from typing import IO, Any, NamedTuple, cast, final
+from typing import IO, Any, cast, final
 
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group, last_lines
@@ -21,13 +21,6 @@ _CODE = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
     "from aleator.foreign._fmu._doors import serve; serve()"
 )
-
-
-class _Running(NamedTuple):
-    """A process, and a file with what it prints."""
-
-    process: subprocess.Popen[Any]
-    printed: IO[bytes]
 
 
 @final
@@ -42,35 +35,30 @@ class OwnProcess:
     def __init__(self, *opening: Any, time_limit: float | None):
         self._name, self._opening, self._limit = opening[0], opening, time_limit
         self._lock = threading.RLock()
-        self._running: list[_Running] = []
-        weakref.finalize(self, _end_all, self._running)
         with self._lock:
-            self._started()
+            self._start()
 
     def ask(self, method: str, *arguments: Any, where: str) -> Any:
         """What a method of the library returns; `where`: at which numbers it is asked, such as ', with x=1'."""
         with self._lock:
-            if not self._running:
-                self._started()
+            if not self.end.alive:
+                self._start()
             return self._answered((method, *arguments), where, self._limit)
 
-    def _started(self) -> None:
-        printed = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the process)
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": printed}
-        self._running.append(
-            _Running(subprocess.Popen([get_executable(), "-c", _CODE], **pipes, **in_group()), printed)
-        )
+    def _start(self) -> None:
+        self._printed = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the process)
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._printed}
+        self.process: subprocess.Popen[Any] = subprocess.Popen([get_executable(), "-c", _CODE], **pipes, **in_group())
+        self.end = weakref.finalize(self, _end, self.process, self._printed)
         # Before it is ready, it imports: that is no run.
         self._answered(sys.path, " before it began", None)
         self._answered(self._opening, " while its library was loaded", self._limit)
 
     def _answered(self, question: Any, where: str, limit: float | None) -> Any:
         """What the process answers. It is ended if that takes longer than a limit, or is interrupted."""
-        process, printed = self._running[0]
+        process, answer, is_late = self.process, None, threading.Event()
         assert process.stdin is not None
         assert process.stdout is not None
-        answer: Any = None
-        is_late = threading.Event()
 
         def end() -> None:
             is_late.set()
@@ -81,8 +69,8 @@ class OwnProcess:
         try:
             with ended_with(process.pid, lambda: answer is not None, endings()):
                 timer.start()
-                printed.seek(0)  # with the place at which the process writes: only the last run is of interest
-                printed.truncate()
+                self._printed.seek(0)  # with the place at which the process writes: only the last run is of interest
+                self._printed.truncate()
                 pickle.dump(question, process.stdin)
                 process.stdin.flush()
                 answer = pickle.load(process.stdout)
@@ -93,33 +81,29 @@ class OwnProcess:
                     f"did not end a run within its time limit of {limit:g} s{where}: its process was ended. If it "
                     "needs longer, give Fmu a larger time_limit"
                 )
-            elif lines := last_lines(printed):
+            elif lines := last_lines(self._printed):
                 how += f"; it printed: {lines}"
             raise SimulationError(f"FMU '{self._name}' {how}.") from error
         finally:
             timer.cancel()
             if answer is None:
-                self._end()
+                self.end()
         returned, raised, is_broken = cast("tuple[Any, Any, bool]", answer)
         if is_broken or (raised is not None and question is self._opening):
-            self._end()
+            self.end()
         if raised is not None:
             raise raised
         return returned
 
-    def _end(self) -> None:
-        _end_all(self._running)
 
-
-def _end_all(running: list[_Running]) -> None:
-    while running:
-        process, printed = running.pop()
-        if process.poll() is None:
-            end_group(process.pid)
-        process.wait()
-        for stream in (process.stdin, process.stdout, printed):
-            if stream is not None:
-                stream.close()
+def _end(process: subprocess.Popen[Any], printed: IO[bytes]) -> None:
+    """End a process, if it has not ended, and close its files."""
+    if process.poll() is None:
+        end_group(process.pid)
+    process.wait()
+    for stream in (process.stdin, process.stdout, printed):
+        if stream is not None:
+            stream.close()
 
 
 def serve() -> None:

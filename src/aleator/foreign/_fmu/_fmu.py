@@ -16,7 +16,7 @@ from jaxtyping import Float
 from aleator._core.border import content_of, meant, one_of, positive, refusal, shown
 from aleator._core.errors import ProblemError, optional
 from aleator.foreign._fmu._doors import OwnProcess
-from aleator.foreign._fmu._library import Library
+from aleator.foreign._fmu._library import Library, usual_sizes
 
 # What users call the interfaces, and FMPy does. The first one offered is the default.
 _KINDS = {"model exchange": "modelExchange", "co-simulation": "coSimulation"}
@@ -98,7 +98,7 @@ class Fmu:
 
     def sizes(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
         """The usual sizes that variables declare; 1 for others."""
-        return np.array([abs(float(self.variables[name].nominal or 1.0)) or 1.0 for name in names])
+        return usual_sizes(self.variables[name] for name in names)
 
     def units(self, names: Iterable[str]) -> Mapping[str, str]:
         """The units that variables declare, by name."""
@@ -155,17 +155,11 @@ def _unpacked(path: Path, folder: Path) -> tuple[Any, str]:
         digest = hashlib.sha256(content_of(path)).hexdigest()
         description = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), str(folder))
-        platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
         words = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
-    if fmpy.platform not in platforms:
-        raise ProblemError(
-            f"FMU '{path.stem}': expected a binary for this machine, {fmpy.platform}; it has "
-            f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
-        )
     return description, digest
 
 

@@ -1,4 +1,4 @@
-"""Equations of motion of SymPy (`sympy.physics.mechanics`) as mechanical systems."""
+"""Differential equations, formulas and equations of motion (`sympy.physics.mechanics`) of SymPy as systems."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, final
@@ -11,14 +11,20 @@ from typing_extensions import override
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
+from aleator.dynamics import AlgebraicSystem, System
+from aleator.dynamics._system import state_type
 from aleator.foreign._sympy_expressions import (
+    AbstractFromSymPy,
     Program,
     contents_of,
+    expression,
     expressions_by_name,
     load_sympy,
     name_of,
+    number_of,
     numbers_by_name,
     refuse_others,
+    refuse_unknown,
     symbols_given,
     time_symbol,
     units_given,
@@ -26,34 +32,182 @@ from aleator.foreign._sympy_expressions import (
 )
 from aleator.mechanics import AbstractMechanical, Motion
 
+# --- Differential equations -------------------------------------------------------------------------------------------
+
 
 @final
 @transparent("numbers")
-class SymPyMechanical(AbstractMechanical):
+class SymPySystem(AbstractFromSymPy, System):
+    """A system from differential equations of SymPy; made by `al.foreign.from_sympy`.
+
+    Programs take the states, the inputs, the numbers and the time; `formulas` the states' rates besides; `begins`, the
+    initial values that are expressions, the numbers alone.
+    - `rates`: with the entries of the matrix before them, row by row, if there is one.
+    """
+
+    start: dict[str, Any]
+    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment]
+    further_inputs: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment]
+    rates: Program = eqx.field(static=True)
+    begins: Program = eqx.field(static=True)
+
+    @override
+    def initial(self) -> Mapping[str, Any]:
+        return {**self.start, **self.begins.by_name(self._values())}
+
+    @override
+    def rhs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[Array, ...]:
+        return self.rates_and_outputs(t, z, **inputs)[0]
+
+    @override
+    def outputs(self, t: Any, z: Any, /, **inputs: Any) -> dict[str, Array]:
+        return self.rates_and_outputs(t, z, **inputs)[1]
+
+    @override
+    def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
+        values = [*z, *(inputs[name] for name in self.further_inputs), *self._values(), t]
+        n, found = len(self.states), self.rates(values)
+        rates, mass = tuple(found[:n]), found[n:]
+        if mass:
+            rates = tuple(jnp.linalg.solve(jnp.stack(mass).reshape(n, n), jnp.stack(rates)))
+        return rates, self.formulas.by_name([*values, *rates])
+
+
+def from_sympy(
+    rates: Mapping[Any, Any],
+    numbers: Mapping[Any, Any],
+    *,
+    mass_matrix: Any = None,
+    outputs: Mapping[str, Any] | None = None,
+    start: Mapping[Any, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> SymPySystem:
+    """A dynamical system, an `al.System`, from SymPy expressions: `dz/dt = rates`.
+
+        x, v, road = dynamicsymbols("x v road")
+        m, k, c = sympy.symbols("m k c")
+        spring = al.foreign.from_sympy(
+            {x: v, v: (k * (road - x) - c * v) / m}, {m: al.Normal(2.0, 0.1), k: al.Decision(8e3, 500.0, 50e3), c: 50.0}
+        )
+
+    - `rates`: the rate of each state, by the state: a function of time, `x(t)`, or a plain symbol. Functions of time
+      without a rate are inputs, given as signals in `al.Problem(inputs=...)`; SymPy's `t` is the time;
+    - `numbers`: a number, distribution or decision for each of the other symbols; each has the symbol's name;
+    - `mass_matrix`: `M` of `M dz/dt = rates`, a square matrix, such as the `mass_matrix_full` of SymPy's mechanics;
+    - `outputs`: expressions by name, which may contain rates, `x.diff(t)`; the states by default;
+    - `start`: initial values by state: numbers, distributions, decisions, or expressions of the symbols in `numbers`;
+      zero for the others;
+    - `units`: the units of outputs by name, for reports.
+
+    Raises `ProblemError` for symbols without a number, for numbers that are not used, for equations that are not solved
+    for the rates, and for functions that JAX lacks; `MissingExtraError` without SymPy.
+    """
+    who, sympy, time = "from_sympy", load_sympy("from_sympy"), time_symbol()
+    rates = {
+        state: expression(f"{who}: the rate of '{state}'", rate)
+        for state, rate in symbols_given(f"{who}: rates", rates).items()
+    }
+    states, size = tuple(rates), len(rates)
+    if mass_matrix is not None and getattr(mass_matrix, "shape", None) != (size, size):
+        raise refusal(f"{who}: mass_matrix", f"a SymPy matrix of shape ({size}, {size})", mass_matrix)
+    mass = [expression(f"{who}: mass_matrix", entry) for entry in ([] if mass_matrix is None else mass_matrix)]
+    outputs = {name_of(state): state for state in states} if outputs is None else outputs
+    formulas = expressions_by_name(f"{who}: outputs", outputs)
+    constant = symbols_given(f"{who}: start", {} if start is None else start)
+    refuse_unknown(f"{who}: start", constant, states)
+    symbolic = [state for state, value in constant.items() if isinstance(value, sympy.Basic)]
+    follow = {state: expression(f"{who}: start", constant.pop(state)) for state in symbolic}
+
+    found = contents_of(who, [*rates.values(), *mass, *formulas.values(), *follow.values()])
+    inputs = [symbol for symbol in found.functions if symbol not in states]
+    parameters = [symbol for symbol in found.symbols if symbol not in (*states, time)]
+    given = numbers_by_name(who, (*states, *inputs), parameters, symbols_given(f"{who}: numbers", numbers))
+    state_names = tuple(map(name_of, states))
+    state_type(state_names)
+
+    # What derivatives in outputs mean: the first ones of states, and second ones where the first is a state. Plain
+    # symbols have no derivatives by time: SymPy gives zero.
+    dots, slopes = {state: sympy.Dummy(f"{name_of(state)}_rate") for state in states}, dict[Any, Any]()
+    for state, rate in ((state, rate) for state, rate in rates.items() if state.is_Function):
+        slopes[state.diff(time)] = dots[state]
+        if not mass and rate in rates:
+            slopes[state.diff(time, 2)] = dots[rate]
+    known = [*states, *inputs, *parameters, time]
+    unsolved = "Solve the equations for the rates (sympy.solve), or give their matrix as mass_matrix."
+    return SymPySystem(
+        numbers=given,
+        start={name_of(state): number_of(f"{who}: start", state, value) for state, value in constant.items()},
+        states=state_names,
+        further_inputs=tuple(map(name_of, inputs)),
+        rates=written(f"{who}: rates", [*rates.values(), *mass], known, unsolved),
+        formulas=written(
+            f"{who}: outputs",
+            {name: formula.xreplace(slopes) for name, formula in formulas.items()},
+            [*known, *dots.values()],
+            "Of derivatives, the rates of states may stand there; give an input's as an input of its own.",
+        ),
+        begins=written(
+            f"{who}: start",
+            {name_of(state): value for state, value in follow.items()},
+            parameters,
+            "Give numbers, or expressions of parameters.",
+        ),
+        declared=units_given(who, units),
+    )
+
+
+@final
+@transparent("numbers")
+class SymPyFormulas(AbstractFromSymPy, AlgebraicSystem):
+    """A system without time from formulas of SymPy; made by `al.foreign.from_sympy_formulas`."""
+
+    @override
+    def outputs(self) -> dict[str, Array]:
+        return self.formulas.by_name(self._values())
+
+
+def from_sympy_formulas(
+    outputs: Mapping[str, Any], numbers: Mapping[Any, Any], *, units: Mapping[str, str] | None = None
+) -> SymPyFormulas:
+    """A system without time, an `al.AlgebraicSystem`, from SymPy expressions.
+
+        F, L, E, I = sympy.symbols("F L E I")
+        beam = al.foreign.from_sympy_formulas({"sag": F * L**3 / (3 * E * I)}, {F: al.Normal(1e3, 50.0), L: 1.0, ...})
+
+    - `outputs`: expressions by name;
+    - `numbers`, `units`: as in `al.foreign.from_sympy`, with the same errors.
+    """
+    who = "from_sympy_formulas"
+    formulas = expressions_by_name(f"{who}: outputs", outputs)
+    symbols = contents_of(who, formulas.values()).symbols
+    given = numbers_by_name(who, (), symbols, symbols_given(f"{who}: numbers", numbers))
+    program = written(who, formulas, symbols, "Use al.foreign.from_sympy for a system that moves.")
+    return SymPyFormulas(numbers=given, formulas=program, declared=units_given(who, units))
+
+
+# --- Equations of motion ----------------------------------------------------------------------------------------------
+
+
+@final
+@transparent("numbers")
+class SymPyMechanical(AbstractFromSymPy, AbstractMechanical):
     """A mechanical system from SymPy; made by `al.foreign.from_kane` and `al.foreign.from_lagrange`.
 
-    What is compiled is determined by its structure, which are all fields but `numbers`. Programs take the coordinates
-    and the parameters; the other ones what is said besides.
+    Programs take the coordinates and the numbers; the other ones what is said besides.
     - `forces`: those on the left-hand side at zero torque, of the speeds too; `effect`: that of the torques, `B`, row
       by row; `rates`: the map `H` from speeds to the coordinates' rates, row by row; none where these are the same;
     - `formulas`: the outputs, of speeds, torques, rates of speeds, rates and accelerations of coordinates, and SymPy's
       multipliers.
     """
 
-    numbers: dict[str, Any]
     coordinates: tuple[str, ...] = eqx.field(static=True, default=())  # type: ignore[assignment]
     speeds: tuple[str, ...] = eqx.field(static=True, default=())  # type: ignore[assignment]
     actuators: tuple[str, ...] = eqx.field(static=True, default=())  # type: ignore[assignment]
-    parameters: tuple[str, ...] = eqx.field(static=True, kw_only=True)
     closed: Program = eqx.field(static=True, kw_only=True)
     mass: Program = eqx.field(static=True, kw_only=True)
     forces: Program = eqx.field(static=True, kw_only=True)
     effect: Program = eqx.field(static=True, kw_only=True)
     rates: Program | None = eqx.field(static=True, kw_only=True)
-    formulas: Program = eqx.field(static=True, kw_only=True)
-    declared: tuple[tuple[str, str], ...] = eqx.field(static=True, kw_only=True)
-
-    units = property(lambda self: dict(self.declared))  # type: ignore[assignment]
 
     @property
     def constraint_names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -94,7 +248,7 @@ class SymPyMechanical(AbstractMechanical):
         return self.formulas.by_name(values)
 
     def _posture(self, q: Array) -> list[Any]:
-        return [*q, *(self.numbers[name] for name in self.parameters)]
+        return [*q, *self._values()]
 
     def _matrix(self, program: Program, q: Array, *shape: int) -> Array:
         entries = program(self._posture(q))
@@ -126,7 +280,7 @@ def from_kane(
     speeds, for equations that contain the time, and for functions that JAX lacks; `MissingExtraError` without SymPy.
     """
     sympy, who = load_sympy("from_kane"), "from_kane"
-    mass, forcing = _formed(who, kane, sympy.physics.mechanics.KanesMethod, "kanes_equations")
+    mass, forcing = _formed(who, kane, sympy.physics.mechanics.KanesMethod)
     if len(kane._udep) or len(kane._qdep):
         raise ProblemError(
             f"{who}: expected independent coordinates and speeds; received dependent ones: "
@@ -157,7 +311,7 @@ def from_lagrange(
     has the other sign (see `al.Lagrangian`). Nonholonomic constraints are refused.
     """
     sympy, who = load_sympy("from_lagrange"), "from_lagrange"
-    mass, forcing = _formed(who, lagrange, sympy.physics.mechanics.LagrangesMethod, "form_lagranges_equations")
+    mass, forcing = _formed(who, lagrange, sympy.physics.mechanics.LagrangesMethod)
     constraints, q = [*lagrange._hol_coneqs], [*lagrange.q]
     if len(lagrange.coneqs) > len(constraints):
         raise ProblemError(
@@ -169,14 +323,11 @@ def from_lagrange(
     return _mechanical(who, *equations, numbers=numbers, outputs=outputs, units=units)
 
 
-def _formed(who: str, method: Any, kind: Any, former: str) -> tuple[Any, Any]:
-    """The mass matrix and the forcing of a method of SymPy's mechanics, whose equations `former` forms."""
+def _formed(who: str, method: Any, kind: Any) -> tuple[Any, Any]:
+    """The mass matrix and the forcing of a method of SymPy's mechanics, which must have been formed."""
     if not isinstance(method, kind):
         raise refusal(who, f"a sympy.physics.mechanics.{kind.__name__}", method)
-    try:
-        return method.mass_matrix, method.forcing
-    except ValueError as error:
-        raise ProblemError(f"{who}: the equations are not formed yet; call {former}() first.") from error
+    return method.mass_matrix, method.forcing
 
 
 def _mechanical(
@@ -201,7 +352,7 @@ def _mechanical(
     free = [symbol for symbol in moving.functions if symbol not in (*q, *v)]
     torques = [symbol for symbol in free if symbol not in numbers]
     symbols = {*moving.symbols, *contents_of(f"{who}: outputs", formulas.values()).symbols} - {time}
-    parameters = [*(symbol for symbol in free if symbol in numbers), *sorted(symbols, key=str)]
+    parameters = sorted([*(symbol for symbol in free if symbol in numbers), *symbols], key=name_of)
     given = numbers_by_name(who, (*q, *v, *torques), parameters, numbers)
     posture = [*q, *parameters]
     forms, drift = kinematics.jacobian(v), kinematics.xreplace(dict.fromkeys(v, 0))
@@ -228,16 +379,15 @@ def _mechanical(
     dots = [*(speed.diff(time) for speed in v), *(q_i.diff(time) for q_i in q), *(q_i.diff(time, 2) for q_i in q)]
     meaning = "Expected coordinates, speeds, their rates, actuators and what is given in numbers."
     return SymPyMechanical(
-        given,
+        numbers=given,
         coordinates=tuple(map(name_of, q)),
         speeds=tuple(map(name_of, v)),
         actuators=tuple(map(name_of, torques)),
-        parameters=tuple(given),
         closed=at_posture("constraints", constraints),
         mass=at_posture("the mass matrix", mass),
         forces=written(who, bias, [*posture, *v]),
         effect=at_posture("the effect of an actuator", effect),
         rates=None if forms == sympy.eye(len(q)) else at_posture("the rates of coordinates", forms),
         formulas=written(f"{who}: outputs", formulas, [*posture, *v, *torques, *dots, *multipliers], meaning),
-        declared=tuple(units_given(who, units).items()),
+        declared=units_given(who, units),
     )
