@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
@@ -212,7 +213,7 @@ def _refuse_changed(name: str, points: np.ndarray, received: np.ndarray, numbers
 
 def _from_table(path: Any) -> dict[str, np.ndarray]:
     names, rows = read_table("tell", path)
-    columns: dict[str, dict[int | None, Any]] = {}
+    columns = defaultdict[str, list[tuple[int | None, Any]]](list)
     for column, name in enumerate(map(str.strip, names)):
         if name.lower() in _COMMENTS:
             continue
@@ -225,12 +226,11 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
             ) from error
         part = _ENTRY.fullmatch(name)
         own, place = (name, None) if part is None else (part[1], int(part[2]))
-        if columns.setdefault(own, {}).setdefault(place, values) is not values:
-            raise ProblemError(f"{path}: expected each column once; received {name!r} twice.")
+        columns[own].append((place, values))
+    found: dict[str, np.ndarray] = {}
     for name, entries in columns.items():
-        if list(entries) not in ([None], [*range(len(entries))]):
-            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ...")
-    return {
-        name: entries[None] if None in entries else np.stack([*entries.values()], axis=1)
-        for name, entries in columns.items()
-    }
+        places, values = zip(*entries, strict=True)
+        if places not in ((None,), (*range(len(entries)),)):
+            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ..., once.")
+        found[name] = values[0] if places == (None,) else np.stack(values, axis=1)
+    return found

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import jax
 import numpy as np
@@ -32,6 +32,9 @@ _NARROW = 0.5
 _MOST_NAMED, _LONGEST = 3, 240
 # The first line of a journal.
 _HEADER = {"journal": "aleator.foreign", "version": 1}
+
+_Key: TypeAlias = tuple[str, str]
+"""Of a sample, by a digest of the box, and one of the model."""
 
 
 @final
@@ -106,9 +109,8 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        journal = self._journal
-        journal.box = self._identity()
-        keys = [journal.key(realisation) for realisation in realisations]
+        journal, box = self._journal, self._identity()
+        keys = [(box, _digest(realisation.model)) for realisation in realisations]
         samples = Samples(name_of(self), realisations, self._drop, whole=whole)
         try:
             self._run(samples, keys)
@@ -122,7 +124,7 @@ class BlackBox(AbstractBox):
         samples.warn_of_dropped()
         return [journal.find(key) for key in keys]
 
-    def _run(self, samples: "Samples", keys: Sequence[str]) -> None:
+    def _run(self, samples: "Samples", keys: Sequence[_Key]) -> None:
         """Run the samples that have not finished, one of several equal ones, and keep each that does."""
         for realisation, key in zip(samples.realisations, keys, strict=True):
             if (outputs := self._journal.find(key)) is not None:
@@ -284,7 +286,7 @@ class Samples:
 
 @final
 class _Journal:
-    """Outputs by a digest of the `box`, which is set before each use, and of all numbers of its model.
+    """Outputs by a digest of the box, and one of all numbers of its model.
 
     A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
     cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
@@ -294,9 +296,8 @@ class _Journal:
     """
 
     def __init__(self, path: Any):
-        self.box = ""
         self.path = None if path is None else Path(border.one_of("BlackBox: journal", path, (str, Path))).absolute()
-        self._known: dict[tuple[str, str], Pytree] = {}
+        self._known: dict[_Key, Pytree] = {}
         if self.path is None:
             return
         try:
@@ -312,25 +313,18 @@ class _Journal:
             with suppress(TypeError, KeyError, SimulationError):
                 self._known[line["box"], line["key"]] = arrays_of(line["outputs"])
 
-    def key(self, realisation: Realisation) -> str:
-        """What identifies a sample: all numbers of its model, and whatever else the model holds, as text."""
-        named = jax.tree_util.tree_leaves_with_path(realisation.model)
-        leaves = [(jax.tree_util.keystr(path), leaf) for path, leaf in named]
-        text = json.dumps([str(jax.tree.structure(realisation.model)), leaves], default=_text)
-        return hashlib.sha256(text.encode()).hexdigest()
-
-    def find(self, key: str) -> Pytree | None:
+    def find(self, key: _Key) -> Pytree | None:
         """The outputs of a finished sample; None if it is not known."""
-        return self._known.get((self.box, key))
+        return self._known.get(key)
 
-    def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
+    def add(self, key: _Key, realisation: Realisation, outputs: Pytree) -> None:
         """Keep a finished sample, unless it is kept already."""
         if self.find(key) is not None:
             return
-        self._known[self.box, key] = outputs
+        self._known[key] = outputs
         if self.path is None:
             return
-        line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": outputs}
+        line = {"box": key[0], "key": key[1], "inputs": realisation.inputs, "outputs": outputs}
         text = json.dumps(line, default=np.ndarray.tolist)
         if not same_shapes(arrays_of(json.loads(text)["outputs"]), outputs):
             raise border.refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
@@ -342,6 +336,13 @@ class _Journal:
                 # A line that a killed process left unfinished is ended, so that it spoils no other.
                 file.write(b"" if file.read(1) == b"\n" else b"\n")
             file.write(f"{text}\n".encode())
+
+
+def _digest(model: Pytree) -> str:
+    """What identifies a sample: all numbers of its model, and whatever else the model holds."""
+    leaves = [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(model)]
+    text = json.dumps([str(jax.tree.structure(model)), leaves], default=_text)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _text(leaf: Any) -> Any:

@@ -11,7 +11,7 @@ from typing_extensions import override
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.dynamics import AlgebraicSystem, System
+from aleator.dynamics import AbstractCombined, AlgebraicSystem
 from aleator.dynamics._system import state_type
 from aleator.foreign._sympy_expressions import (
     AbstractFromSymPy,
@@ -37,7 +37,7 @@ from aleator.mechanics import AbstractMechanical, Motion
 
 @final
 @transparent("numbers")
-class SymPySystem(AbstractFromSymPy, System):
+class SymPySystem(AbstractFromSymPy, AbstractCombined):
     """A system from differential equations of SymPy; made by `al.foreign.from_sympy`.
 
     Programs take the states, the inputs, the numbers and the time; `formulas` the states' rates besides; `begins`, the
@@ -56,15 +56,7 @@ class SymPySystem(AbstractFromSymPy, System):
         return {**self.start, **self.begins.by_name(self._values())}
 
     @override
-    def rhs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[Array, ...]:
-        return self.rates_and_outputs(t, z, **inputs)[0]
-
-    @override
-    def outputs(self, t: Any, z: Any, /, **inputs: Any) -> dict[str, Array]:
-        return self.rates_and_outputs(t, z, **inputs)[1]
-
-    @override
-    def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Array]]:
         values = [*z, *(inputs[name] for name in self.further_inputs), *self._values(), t]
         n, found = len(self.states), self.rates(values)
         rates, mass = tuple(found[:n]), found[n:]

@@ -18,7 +18,7 @@ from typing_extensions import override
 from aleator._core.border import one_of, positive, real
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
 from aleator._core.leaves import AbstractLeaf, transparent
-from aleator.dynamics import Grid, System, check_span
+from aleator.dynamics import AbstractCombined, Grid, check_span
 from aleator.foreign._fmu._fmu import Fmu
 from aleator.foreign._fmu._library import Found, each
 from aleator.trajectories import AbstractSignal
@@ -146,8 +146,8 @@ class FmuSimulation:
 
 @final
 @transparent("parameters")
-class FmuSystem(System):
-    """The equations of an FMU for model exchange as a `System`, integrated and optimised like any other.
+class FmuSystem(AbstractCombined):
+    """The equations of an FMU for model exchange as an `al.System`, integrated and optimised like any other.
 
         rod = al.foreign.FmuSystem(fmu, {"damping": al.Uniform(al.Decision(0.1, 0.05, 1.0), half_width=0.02)})
 
@@ -204,14 +204,6 @@ class FmuSystem(System):
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         del t
         return dict(zip(self.states, self._equations.initial(self._inputs_and_numbers(inputs)), strict=True))
-
-    @override
-    def rhs(self, t: Any, z: Any, **inputs: Any) -> tuple[Array, ...]:
-        return self.rates_and_outputs(t, z, **inputs)[0]
-
-    @override
-    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
-        return self.rates_and_outputs(t, z, **inputs)[1]
 
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
