@@ -4,7 +4,7 @@ import weakref
 
 import pytest
 
-from aleator.foreign._fmu._doors import OwnProcess
+from aleator.foreign._fmu._fmu import OwnProcess
 from rods import rods as rods
 
 

@@ -113,9 +113,7 @@ class Library:
             values = instance.get(self._references(names))
             return instance.vector("ContinuousStates"), values, bool(np.isfinite(instance.next_event))
 
-    def rates(
-        self, parameters: Sequence[str], inputs: Sequence[str], outputs: Sequence[str], points: np.ndarray
-    ) -> Found:
+    def rates(self, parameters: list[str], inputs: list[str], outputs: list[str], points: np.ndarray) -> Found:
         """Rates of the states, then outputs, at points (time, states, inputs, parameters), shape (points, m)."""
         driven, read = self._references(inputs), self._references(outputs)
         n = 1 + self.states
