@@ -1,6 +1,5 @@
 """`ask`: the points of an expansion, to be answered by whoever has the model; the responses that come back."""
 
-import csv
 import os
 import re
 from collections import defaultdict
@@ -91,11 +90,8 @@ class Asked:
 
         Raises `ProblemError` if the file cannot be written.
         """
-        rows = zip(*(values.tolist() for values in self.points.values()), strict=True)
-        with border.writing("write_csv", path) as place, place.open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow([_NUMBER, *self.points])
-            table.writerows([number, *row] for number, row in enumerate(rows, 1))
+        with border.writing("write_csv", path) as place:
+            self.dataset.to_dataframe().to_csv(place, columns=list(self.points), lineterminator="\n")
 
     def tell(self, responses: Any, *, drop: float = 0.0, times: Any = None) -> Expanded:
         """The expansion of the responses: the same as that of `al.expand`, to the last bit.

@@ -1,6 +1,5 @@
 """`BlackBox`: any function or command line as the model of an uncertainty analysis; its samples, and their journal."""
 
-import hashlib
 import json
 import math
 import uuid
@@ -324,10 +323,9 @@ class _Journal:
         self._known[key] = outputs
         if self.path is None:
             return
-        line = {"box": key[0], "key": key[1], "inputs": realisation.inputs, "outputs": outputs}
-        text = json.dumps(line, default=np.ndarray.tolist)
-        if not same_shapes(arrays_of(json.loads(text)["outputs"]), outputs):
+        if not _is_named(outputs):
             raise border.refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
+        line = {"box": key[0], "key": key[1], "inputs": realisation.inputs, "outputs": outputs}
         with border.writing("BlackBox: the journal", self.path) as path, path.open("a+b") as file:
             if file.seek(0, 2) == 0:
                 file.write(f"{json.dumps(_HEADER)}\n".encode())
@@ -335,14 +333,20 @@ class _Journal:
                 file.seek(-1, 2)
                 # A line that a killed process left unfinished is ended, so that it spoils no other.
                 file.write(b"" if file.read(1) == b"\n" else b"\n")
-            file.write(f"{text}\n".encode())
+            file.write(f"{json.dumps(line, default=np.ndarray.tolist)}\n".encode())
+
+
+def _is_named(outputs: Pytree) -> bool:
+    """Whether JSON has the same containers: dicts by names, and nothing else."""
+    if isinstance(outputs, dict):
+        return all(isinstance(name, str) and _is_named(value) for name, value in outputs.items())
+    return isinstance(outputs, np.ndarray)
 
 
 def _digest(model: Pytree) -> str:
     """What identifies a sample: all numbers of its model, and whatever else the model holds."""
     leaves = [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(model)]
-    text = json.dumps([str(jax.tree.structure(model)), leaves], default=_text)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return joined([json.dumps([str(jax.tree.structure(model)), leaves], default=_text)])
 
 
 def _text(leaf: Any) -> Any:

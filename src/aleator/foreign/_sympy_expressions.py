@@ -8,7 +8,7 @@ import functools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -64,20 +64,11 @@ def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
     return {name: expression(f"{what}, '{name}'", formula) for name, formula in given.items()}
 
 
-class Contents(NamedTuple):
-    """What some expressions contain, each in the order of its name.
+def contents_of(who: str, expressions: Iterable[Any]) -> tuple[list[Any], list[Any], list[Any]]:
+    """Functions of time in expressions, such as `q(t)`, derivatives of these, and plain symbols, each by their names.
 
-    - `functions`: functions of time, such as `q(t)`; `derivatives` of these;
-    - `symbols`: plain symbols, the time too where it stands outside of functions.
+    The time is a symbol where it stands outside of functions. Raises `ProblemError` for functions of anything else.
     """
-
-    functions: tuple[Any, ...]
-    derivatives: tuple[Any, ...]
-    symbols: tuple[Any, ...]
-
-
-def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
-    """What expressions contain. Raises `ProblemError` for functions of anything but the time."""
     sympy = load_sympy(who)
     whole, time, applied = sympy.Tuple(*expressions), time_symbol(), sympy.core.function.AppliedUndef
     functions = whole.atoms(applied)
@@ -90,13 +81,13 @@ def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
             )
     plain = whole.xreplace({part: sympy.Dummy() for part in derivatives | functions})
     symbols = (symbol for symbol in plain.free_symbols if not isinstance(symbol, sympy.Dummy))
-    return Contents(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
+    return sorted(functions, key=str), sorted(derivatives, key=str), sorted(symbols, key=str)
 
 
 def refuse_others(what: str, expressions: Iterable[Any], known: Collection[Any], remedy: str) -> None:
     """Raise `ProblemError`, with what to do, if expressions contain anything that is not known."""
-    found = contents_of(what, expressions)
-    for part in (*found.derivatives, *found.functions, *found.symbols):
+    functions, derivatives, symbols = contents_of(what, expressions)
+    for part in (*derivatives, *functions, *symbols):
         if part not in known:
             listed = ", ".join(sorted(map(str, known))[:8]) + ", ..." * (len(known) > 8)
             raise ProblemError(f"{what}: expected no other symbols than {listed or 'none'}; received {part}. {remedy}")

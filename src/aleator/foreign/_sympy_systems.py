@@ -110,9 +110,9 @@ def from_sympy(
     symbolic = [state for state, value in constant.items() if isinstance(value, sympy.Basic)]
     follow = {state: expression(f"{who}: start", constant.pop(state)) for state in symbolic}
 
-    found = contents_of(who, [*rates.values(), *mass, *formulas.values(), *follow.values()])
-    inputs = [symbol for symbol in found.functions if symbol not in states]
-    parameters = [symbol for symbol in found.symbols if symbol not in (*states, time)]
+    functions, _, symbols = contents_of(who, [*rates.values(), *mass, *formulas.values(), *follow.values()])
+    inputs = [function for function in functions if function not in states]
+    parameters = [symbol for symbol in symbols if symbol not in (*states, time)]
     given = numbers_by_name(who, (*states, *inputs), parameters, symbols_given(f"{who}: numbers", numbers))
     state_names = tuple(map(name_of, states))
     state_type(state_names)
@@ -171,7 +171,7 @@ def from_sympy_formulas(
     """
     who = "from_sympy_formulas"
     formulas = expressions_by_name(f"{who}: outputs", outputs)
-    symbols = contents_of(who, formulas.values()).symbols
+    *_, symbols = contents_of(who, formulas.values())
     given = numbers_by_name(who, (), symbols, symbols_given(f"{who}: numbers", numbers))
     program = written(who, formulas, symbols, "Use al.foreign.from_sympy for a system that moves.")
     return SymPyFormulas(numbers=given, formulas=program, declared=units_given(who, units))
@@ -340,11 +340,12 @@ def _mechanical(
     sympy, time = load_sympy(who), time_symbol()
     numbers = symbols_given(f"{who}: numbers", numbers)
     formulas = expressions_by_name(f"{who}: outputs", {} if outputs is None else outputs)
-    moving = contents_of(who, [*mass, *forcing, *kinematics, *constraints])
-    free = [symbol for symbol in moving.functions if symbol not in (*q, *v)]
-    torques = [symbol for symbol in free if symbol not in numbers]
-    symbols = {*moving.symbols, *contents_of(f"{who}: outputs", formulas.values()).symbols} - {time}
-    parameters = sorted([*(symbol for symbol in free if symbol in numbers), *symbols], key=name_of)
+    functions, _, symbols = contents_of(who, [*mass, *forcing, *kinematics, *constraints])
+    free = [function for function in functions if function not in (*q, *v)]
+    torques = [function for function in free if function not in numbers]
+    *_, further = contents_of(f"{who}: outputs", formulas.values())
+    constant = {*symbols, *further, *free} - {*torques, time}
+    parameters = sorted(constant, key=name_of)
     given = numbers_by_name(who, (*q, *v, *torques), parameters, numbers)
     posture = [*q, *parameters]
     forms, drift = kinematics.jacobian(v), kinematics.xreplace(dict.fromkeys(v, 0))
