@@ -42,15 +42,13 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     Asked again, in another process too, it gives the same points. Raises `ProblemError` if nothing is uncertain, or if
     points depend on outputs, as they do for adaptive index sets and for `al.MultiElement()`.
     """
-    if not isinstance(expansion, Expansion | None):
-        raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+    expansion = border.one_of("ask: the expansion", expansion or Expansion(), Expansion, "al.Expansion(order=4)")
     refuse_nonpositive(model)
     places = placements(model)
     refuse_intervals("ask", places)
     if not places.distributions or _NUMBER in places.distributions:
         expected = f"distributions in it, such as al.Uniform.bounds(0.9, 1.1), none of the name {_NUMBER!r}"
         raise border.refusal("ask: the model", expected, model)
-    expansion = expansion or Expansion()
     _, nodes = candidate_terms(places.germs, expansion)
     decisions = jax_array(places.vector("initial"))
     every = np.concatenate([nodes.points, fresh_points(places.germs, len(nodes.points), traced=False)])

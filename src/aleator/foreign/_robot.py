@@ -102,7 +102,7 @@ class Reading:
     """
 
     def __init__(self, reader: str, path: str | Path, leave_out: Any):
-        self._reader, self._path = reader, path
+        self._path = one_of(reader, path, (str, Path), "'robot.xml'")
         self.left_out = members(f"{reader}: leave_out", [leave_out] if isinstance(leave_out, str) else leave_out, str)
         if unknown := [name for name in self.left_out if name not in _EFFECTS]:
             raise refusal(f"{reader}: leave_out", f"some of {sorted(_EFFECTS)}", unknown[0])
@@ -133,8 +133,6 @@ class Reading:
         parser.CharacterDataHandler = builder.data
         try:
             parser.Parse(content_of(self._path), True)
-        except TypeError as error:
-            raise refusal(self._reader, "the path of a file", self._path) from error
         except (OSError, ValueError, LookupError, expat.ExpatError) as error:
             reason = getattr(error, "strerror", None) or error
             raise self.broken("", f"expected a file of XML that can be read; received: {reason}.") from error

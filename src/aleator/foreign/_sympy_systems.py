@@ -1,6 +1,6 @@
 """Differential equations, formulas and equations of motion (`sympy.physics.mechanics`) of SymPy as systems."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, final
 
 import equinox as eqx
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal
+from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics import AbstractCombined, AlgebraicSystem
@@ -272,17 +272,17 @@ def from_kane(
     speeds, for equations that contain the time, and for functions that JAX lacks; `MissingExtraError` without SymPy.
     """
     sympy, who = load_sympy("from_kane"), "from_kane"
-    mass, forcing = _formed(who, kane, sympy.physics.mechanics.KanesMethod)
+    one_of(who, kane, sympy.physics.mechanics.KanesMethod)
     if len(kane._udep) or len(kane._qdep):
         raise ProblemError(
             f"{who}: expected independent coordinates and speeds; received dependent ones: "
             f"{[*kane._qdep, *kane._udep]}. Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with "
             "mass_matrix_full and forcing_full."
         )
-    rates = kane.kindiffdict()
+    rates, mass, forcing = kane.kindiffdict(), kane.mass_matrix, kane.forcing
     kinematics = sympy.Matrix([rates[coordinate.diff(time_symbol())] for coordinate in kane.q])
-    equations = [*kane.q], [*kane.u], mass.xreplace(rates), forcing.xreplace(rates), kinematics
-    return _mechanical(who, *equations, numbers=numbers, outputs=outputs, units=units)
+    equations = [*kane.q], [*kane.u], mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], []
+    return _mechanical(who, equations, numbers, outputs, units)
 
 
 def from_lagrange(
@@ -303,7 +303,8 @@ def from_lagrange(
     has the other sign (see `al.Lagrangian`). Nonholonomic constraints are refused.
     """
     sympy, who = load_sympy("from_lagrange"), "from_lagrange"
-    mass, forcing = _formed(who, lagrange, sympy.physics.mechanics.LagrangesMethod)
+    one_of(who, lagrange, sympy.physics.mechanics.LagrangesMethod)
+    mass, forcing = lagrange.mass_matrix, lagrange.forcing
     constraints, q = [*lagrange._hol_coneqs], [*lagrange.q]
     if len(lagrange.coneqs) > len(constraints):
         raise ProblemError(
@@ -312,31 +313,12 @@ def from_lagrange(
         )
     v = [coordinate.diff(time_symbol()) for coordinate in q]
     equations = q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, [*lagrange.lam_vec]
-    return _mechanical(who, *equations, numbers=numbers, outputs=outputs, units=units)
+    return _mechanical(who, equations, numbers, outputs, units)
 
 
-def _formed(who: str, method: Any, kind: Any) -> tuple[Any, Any]:
-    """The mass matrix and the forcing of a method of SymPy's mechanics, which must have been formed."""
-    if not isinstance(method, kind):
-        raise refusal(who, f"a sympy.physics.mechanics.{kind.__name__}", method)
-    return method.mass_matrix, method.forcing
-
-
-def _mechanical(
-    who: str,
-    q: list[Any],
-    v: list[Any],
-    mass: Any,
-    forcing: Any,
-    kinematics: Any,
-    constraints: Sequence[Any] = (),
-    multipliers: Sequence[Any] = (),
-    *,
-    numbers: Any,
-    outputs: Any,
-    units: Any,
-) -> SymPyMechanical:
-    """The system with `M v̇ = forcing`, `q̇ = kinematics` and `constraints = 0`."""
+def _mechanical(who: str, equations: tuple[Any, ...], numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
+    """The system with `M v̇ = forcing`, `q̇ = kinematics` and `constraints = 0`, which have multipliers."""
+    q, v, mass, forcing, kinematics, constraints, multipliers = equations
     sympy, time = load_sympy(who), time_symbol()
     numbers = symbols_given(f"{who}: numbers", numbers)
     formulas = expressions_by_name(f"{who}: outputs", {} if outputs is None else outputs)
@@ -344,8 +326,7 @@ def _mechanical(
     free = [function for function in functions if function not in (*q, *v)]
     torques = [function for function in free if function not in numbers]
     *_, further = contents_of(f"{who}: outputs", formulas.values())
-    constant = {*symbols, *further, *free} - {*torques, time}
-    parameters = sorted(constant, key=name_of)
+    parameters = sorted({*symbols, *further, *free} - {*torques, time}, key=name_of)
     given = numbers_by_name(who, (*q, *v, *torques), parameters, numbers)
     posture = [*q, *parameters]
     forms, drift = kinematics.jacobian(v), kinematics.xreplace(dict.fromkeys(v, 0))

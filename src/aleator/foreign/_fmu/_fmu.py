@@ -219,7 +219,7 @@ class OwnProcess:
     def _start(self) -> None:
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the process)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._printed}
-        self.process: subprocess.Popen[Any] = subprocess.Popen([get_executable(), "-c", _CODE], **pipes, **in_group())
+        self.process: Any = subprocess.Popen([get_executable(), "-c", _CODE], **pipes, **in_group())
         self.end = weakref.finalize(self, _end, self.process, self._printed)
         # Before it is ready, it imports: that is no run.
         self._answered(sys.path, " before it began", None)
@@ -228,8 +228,6 @@ class OwnProcess:
     def _answered(self, question: Any, where: str, limit: float | None) -> Any:
         """What the process answers. It is ended if that takes longer than a limit, or is interrupted."""
         process, answer, is_late = self.process, None, threading.Event()
-        assert process.stdin is not None
-        assert process.stdout is not None
 
         def end() -> None:
             is_late.set()
@@ -267,14 +265,13 @@ class OwnProcess:
         return returned
 
 
-def _end(process: subprocess.Popen[Any], printed: IO[bytes]) -> None:
+def _end(process: Any, printed: IO[bytes]) -> None:
     """End a process, if it has not ended, and close its files."""
     if process.poll() is None:
         end_group(process.pid)
     process.wait()
     for stream in (process.stdin, process.stdout, printed):
-        if stream is not None:
-            stream.close()
+        stream.close()
 
 
 def serve() -> None:
