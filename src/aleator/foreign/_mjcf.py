@@ -91,8 +91,7 @@ def _compiled(path: str | Path, reading: Reading) -> Model:
 
     Raises `ProblemError` for what MuJoCo refuses, and for inertia from a mesh.
     """
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as heard:
         try:
             specification = _library().MjSpec.from_file(str(path))
             reading.effects["flex"] += [f"flex '{flex.name}'" for flex in specification.flexes]
@@ -130,11 +129,12 @@ def _remove_files(specification: Any, reading: Reading) -> None:
         for shape in shapes:
             shape.size = [size] * 3
         models.append(specification.compile())
-    hangs = np.any([one.body_inertia != other.body_inertia for one, other in [models]], axis=(0, 2))
-    if (bodies := np.flatnonzero(hangs & (models[0].body_weldid > 0))).size:
+    small, large = models
+    is_moving, hangs = small.body_weldid > 0, np.any(small.body_inertia != large.body_inertia, axis=1)
+    if (bodies := np.flatnonzero(is_moving & hangs)).size:
         name = next((name for name, shape in zip(named, shapes, strict=True) if shape.parent.id == bodies[0]), named[0])
         raise reading.broken(
-            f"body '{models[0].body(bodies[0]).name}'",
+            f"body '{small.body(bodies[0]).name}'",
             f"expected its inertia in numbers; received a mesh ('{name}') to compute it from, which is not read. Give "
             "the body an <inertial> with pos, mass and fullinertia (MuJoCo writes the numbers that it computes itself "
             "by mj_saveLastXML).",

@@ -284,11 +284,11 @@ def _printer() -> Any:
         def _print_Float(self, expr: Any) -> str:  # noqa: N802
             return repr(float(expr))
 
-        def _print_Integer(self, expr: Any) -> str:  # noqa: N802
-            return str(expr.p) if abs(expr.p) < 2**53 else repr(float(expr))
-
         def _print_Rational(self, expr: Any) -> str:  # noqa: N802
-            return f"({expr.p}/{expr.q})" if max(abs(expr.p), expr.q) < 2**53 else repr(float(expr))
+            exact = str(expr.p) if expr.q == 1 else f"({expr.p}/{expr.q})"
+            return exact if max(abs(expr.p), expr.q) < 2**53 else repr(float(expr))
+
+        _print_Integer = _print_Rational  # noqa: N815
 
         def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
             if expr.exp.is_Integer and expr.exp < 0:

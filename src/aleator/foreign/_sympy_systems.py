@@ -56,13 +56,23 @@ class SymPySystem(AbstractFromSymPy, AbstractCombined):
         return {**self.start, **self.begins.by_name(self._values())}
 
     @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> tuple[Array, ...]:
+        # Alone: they are traced at each stage of a step.
+        return self._rates(self._at(t, z, inputs))
+
+    @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Array]]:
-        values = [*z, *(inputs[name] for name in self.further_inputs), *self._values(), t]
+        values = self._at(t, z, inputs)
+        rates = self._rates(values)
+        return rates, self.formulas.by_name([*values, *rates])
+
+    def _at(self, t: Any, z: Any, inputs: Mapping[str, Any]) -> list[Any]:
+        return [*z, *(inputs[name] for name in self.further_inputs), *self._values(), t]
+
+    def _rates(self, values: list[Any]) -> tuple[Array, ...]:
         n, found = len(self.states), self.rates(values)
         rates, mass = tuple(found[:n]), found[n:]
-        if mass:
-            rates = tuple(jnp.linalg.solve(jnp.stack(mass).reshape(n, n), jnp.stack(rates)))
-        return rates, self.formulas.by_name([*values, *rates])
+        return tuple(jnp.linalg.solve(jnp.stack(mass).reshape(n, n), jnp.stack(rates))) if mass else rates
 
 
 def from_sympy(
