@@ -26,7 +26,7 @@ def fmu_of(rods, behaviour, *, version=3, **given):
 
 def process_of(fmu):
     """The number of the process of an FMU."""
-    return fmu.door._running[0].process.pid
+    return fmu.door.process.pid
 
 
 def has_ended(process):

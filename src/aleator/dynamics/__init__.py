@@ -73,6 +73,7 @@ from aleator.dynamics._sparse import column_groups as column_groups
 from aleator.dynamics._sparse import seeds_of as seeds_of
 from aleator.dynamics._steps import needed as needed
 from aleator.dynamics._steps import watched as watched
+from aleator.dynamics._system import AbstractCombined as AbstractCombined
 from aleator.dynamics._system import AbstractSystem as AbstractSystem
 from aleator.dynamics._system import End as End
 from aleator.dynamics._system import System as System

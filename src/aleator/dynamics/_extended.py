@@ -13,12 +13,12 @@ from typing_extensions import override
 from aleator._core.leaves import transparent
 from aleator.dynamics._evaluation import after_events, event_levels
 from aleator.dynamics._record import Record
-from aleator.dynamics._system import End, System, state_type
+from aleator.dynamics._system import AbstractCombined, End, System, state_type
 from aleator.trajectories import AbstractSignal
 
 
 @transparent("own")
-class AbstractExtended(System):
+class AbstractExtended(AbstractCombined):
     """A system whose first states are those of its `own` system, whose numbers keep their names.
 
     `taken`: the inputs that it is given, by name. Algebraic variables of its own system are solved for inside.
@@ -82,14 +82,6 @@ class AbstractExtended(System):
         self, signals: Mapping[str, AbstractSignal], begun: Float[Array, " states"]
     ) -> Mapping[str, AbstractSignal]:
         return self.own.signals_from(signals, begun)
-
-    @override
-    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
-        return self.rates_and_outputs(t, z, **inputs)[0]
-
-    @override
-    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
-        return self.rates_and_outputs(t, z, **inputs)[1]
 
     @override
     def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:

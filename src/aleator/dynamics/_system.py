@@ -238,6 +238,23 @@ class System(AbstractSystem):
         return self
 
 
+class AbstractCombined(System):
+    """A system whose rates and outputs follow from the same equations: it defines `rates_and_outputs` alone."""
+
+    @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
+        return self.rates_and_outputs(t, z, **inputs)[0]
+
+    @override
+    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
+        return self.rates_and_outputs(t, z, **inputs)[1]
+
+    @abc.abstractmethod
+    @override
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:
+        """Both, with all their inputs."""
+
+
 class End(NamedTuple):
     """How a phase ends in a realisation.
 

@@ -1,8 +1,8 @@
 """`ask`: the points of an expansion, to be answered by whoever has the model; the responses that come back."""
 
-import csv
 import os
 import re
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
@@ -43,8 +43,7 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     Asked again, in another process too, it gives the same points. Raises `ProblemError` if nothing is uncertain, or if
     points depend on outputs, as they do for adaptive index sets and for `al.MultiElement()`.
     """
-    if not isinstance(expansion, Expansion | None):
-        raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+    expansion = border.one_of("ask: the expansion", expansion or Expansion(), Expansion, "al.Expansion(order=4)")
     model = in_order(model)
     refuse_nonpositive(model)
     places = placements(model)
@@ -52,7 +51,6 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     if not places.distributions or _NUMBER in places.distributions:
         expected = f"distributions in it, such as al.Uniform.bounds(0.9, 1.1), none of the name {_NUMBER!r}"
         raise border.refusal("ask: the model", expected, model)
-    expansion = expansion or Expansion()
     _, nodes = candidate_terms(places.germs, expansion)
     decisions = jax_array(places.vector("initial"))
     every = np.concatenate([nodes.points, fresh_points(places.germs, len(nodes.points), traced=False)])
@@ -92,11 +90,8 @@ class Asked:
 
         Raises `ProblemError` if the file cannot be written.
         """
-        rows = zip(*(values.tolist() for values in self.points.values()), strict=True)
-        with border.writing("write_csv", path) as place, place.open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow([_NUMBER, *self.points])
-            table.writerows([number, *row] for number, row in enumerate(rows, 1))
+        with border.writing("write_csv", path) as place:
+            self.dataset.to_dataframe().to_csv(place, columns=list(self.points), lineterminator="\n")
 
     def tell(self, responses: Any, *, drop: float = 0.0, times: Any = None) -> Expanded:
         """The expansion of the responses: the same as that of `al.expand`, to the last bit.
@@ -214,7 +209,7 @@ def _refuse_changed(name: str, points: np.ndarray, received: np.ndarray, numbers
 
 def _from_table(path: Any) -> dict[str, np.ndarray]:
     names, rows = read_table("tell", path)
-    columns: dict[str, dict[int | None, Any]] = {}
+    columns = defaultdict[str, list[tuple[int | None, Any]]](list)
     for column, name in enumerate(map(str.strip, names)):
         if name.lower() in _COMMENTS:
             continue
@@ -227,12 +222,11 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
             ) from error
         part = _ENTRY.fullmatch(name)
         own, place = (name, None) if part is None else (part[1], int(part[2]))
-        if columns.setdefault(own, {}).setdefault(place, values) is not values:
-            raise ProblemError(f"{path}: expected each column once; received {name!r} twice.")
+        columns[own].append((place, values))
+    found: dict[str, np.ndarray] = {}
     for name, entries in columns.items():
-        if list(entries) not in ([None], [*range(len(entries))]):
-            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ...")
-    return {
-        name: entries[None] if None in entries else np.stack([*entries.values()], axis=1)
-        for name, entries in columns.items()
-    }
+        places, values = zip(*entries, strict=True)
+        if places not in ((None,), (*range(len(entries)),)):
+            raise ProblemError(f"{path}: expected one column {name!r}, or its entries {name}[0], {name}[1], ..., once.")
+        found[name] = values[0] if places == (None,) else np.stack(values, axis=1)
+    return found

@@ -1,5 +1,6 @@
-"""`BlackBox`: any function or command line as the model of an uncertainty analysis, and how its samples run."""
+"""`BlackBox`: any function or command line as the model of an uncertainty analysis; its samples, and their journal."""
 
+import json
 import math
 import uuid
 from collections import Counter, deque
@@ -7,7 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import jax
 import numpy as np
@@ -18,9 +19,9 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import identity_of, joined
+from aleator._core.journalled import read_lines
 from aleator.ensemble import AbstractBox, Realisation, as_outputs, name_of, same_shapes
-from aleator.foreign._command import Command, Isolated
-from aleator.foreign._journal import Journal
+from aleator.foreign._command import Command, Isolated, arrays_of
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
 _IN_FLIGHT = 256
@@ -28,6 +29,11 @@ _IN_FLIGHT = 256
 _NARROW = 0.5
 # As many inputs as a warning names, and as much of a reason as a message repeats.
 _MOST_NAMED, _LONGEST = 3, 240
+# The first line of a journal.
+_HEADER = {"journal": "aleator.foreign", "version": 1}
+
+_Key: TypeAlias = tuple[str, str]
+"""Of a sample, by a digest of the box, and one of the model."""
 
 
 @final
@@ -79,7 +85,7 @@ class BlackBox(AbstractBox):
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
         self._inner = function.function if isinstance(function, Isolated) else function
         self._unlike = self._version or uuid.uuid4().hex
-        self._journal = Journal(journal)
+        self._journal = _Journal(journal)
         self.__name__ = name_of(function).strip("'")
 
     @property
@@ -102,9 +108,8 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        journal = self._journal
-        journal.box = self._identity()
-        keys = [journal.key(realisation) for realisation in realisations]
+        journal, box = self._journal, self._identity()
+        keys = [(box, _digest(realisation.model)) for realisation in realisations]
         samples = Samples(name_of(self), realisations, self._drop, whole=whole)
         try:
             self._run(samples, keys)
@@ -118,7 +123,7 @@ class BlackBox(AbstractBox):
         samples.warn_of_dropped()
         return [journal.find(key) for key in keys]
 
-    def _run(self, samples: "Samples", keys: Sequence[str]) -> None:
+    def _run(self, samples: "Samples", keys: Sequence[_Key]) -> None:
         """Run the samples that have not finished, one of several equal ones, and keep each that does."""
         for realisation, key in zip(samples.realisations, keys, strict=True):
             if (outputs := self._journal.find(key)) is not None:
@@ -276,3 +281,75 @@ class Samples:
         among = np.all((values >= low) & (values <= high), axis=1)
         ranges = ", ".join(f"{names[i]} from {low[i]:.4g} to {high[i]:.4g}" for i in sorted(narrow))
         return f"They lie within {ranges}, where {len(dropped)} of {np.count_nonzero(among)} samples failed."
+
+
+@final
+class _Journal:
+    """Outputs by a digest of the box, and one of all numbers of its model.
+
+    A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
+    cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
+    Numbers are written with all their digits, so that outputs read back are the same to the last bit.
+
+    Raises `ProblemError` if the file is no journal, or cannot be read or written.
+    """
+
+    def __init__(self, path: Any):
+        self.path = None if path is None else Path(border.one_of("BlackBox: journal", path, (str, Path))).absolute()
+        self._known: dict[_Key, Pytree] = {}
+        if self.path is None:
+            return
+        try:
+            content = read_lines(self.path)
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {self.path} cannot be read ({error.strerror}).") from error
+        lines = [line.value for line in content.lines]
+        if (lines or content.cut) and lines[:1] != [_HEADER]:
+            raise border.refusal(
+                "BlackBox: journal", "the path of a journal, or of a file that does not exist yet", path
+            )
+        for line in lines[1:]:
+            with suppress(TypeError, KeyError, SimulationError):
+                self._known[line["box"], line["key"]] = arrays_of(line["outputs"])
+
+    def find(self, key: _Key) -> Pytree | None:
+        """The outputs of a finished sample; None if it is not known."""
+        return self._known.get(key)
+
+    def add(self, key: _Key, realisation: Realisation, outputs: Pytree) -> None:
+        """Keep a finished sample, unless it is kept already."""
+        if self.find(key) is not None:
+            return
+        self._known[key] = outputs
+        if self.path is None:
+            return
+        if not _is_named(outputs):
+            raise border.refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
+        line = {"box": key[0], "key": key[1], "inputs": realisation.inputs, "outputs": outputs}
+        with border.writing("BlackBox: the journal", self.path) as path, path.open("a+b") as file:
+            if file.seek(0, 2) == 0:
+                file.write(f"{json.dumps(_HEADER)}\n".encode())
+            else:
+                file.seek(-1, 2)
+                # A line that a killed process left unfinished is ended, so that it spoils no other.
+                file.write(b"" if file.read(1) == b"\n" else b"\n")
+            file.write(f"{json.dumps(line, default=np.ndarray.tolist)}\n".encode())
+
+
+def _is_named(outputs: Pytree) -> bool:
+    """Whether JSON has the same containers: dicts by names, and nothing else."""
+    if isinstance(outputs, dict):
+        return all(isinstance(name, str) and _is_named(value) for name, value in outputs.items())
+    return isinstance(outputs, np.ndarray)
+
+
+def _digest(model: Pytree) -> str:
+    """What identifies a sample: all numbers of its model, and whatever else the model holds."""
+    leaves = [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(model)]
+    return joined([json.dumps([str(jax.tree.structure(model)), leaves], default=_text)])
+
+
+def _text(leaf: Any) -> Any:
+    """A leaf that JSON does not have, with all its digits if it has numbers."""
+    is_array = isinstance(leaf, np.ndarray | np.generic) and leaf.dtype != object
+    return [str(leaf.dtype), leaf.shape, leaf.tolist()] if is_array else repr(leaf)

@@ -130,14 +130,15 @@ def _numbers(text: str, source: str) -> Pytree:
     lines = [line for line in text.splitlines() if line.strip()]
     for one in (text, *lines[-1:]):
         with suppress(ValueError):
-            return _arrays(json_of(one), "the output")
+            return arrays_of(json_of(one))
     received = f"received {lines[-1][-_SHOWN:]!r}" if lines else "received nothing"
     raise SimulationError(f"expected JSON in {source}; {received}")
 
 
-def _arrays(parsed: Any, what: str) -> Pytree:
+def arrays_of(parsed: Any, what: str = "the output") -> Pytree:
+    """What JSON says as an array of numbers, or a dict of these. Raises `SimulationError` for anything else."""
     if isinstance(parsed, dict):
-        return {name: _arrays(value, f"the output {name!r}") for name, value in parsed.items()}
+        return {name: arrays_of(value, f"the output {name!r}") for name, value in parsed.items()}
     try:
         return border.real_array(what, parsed, "numbers")
     except ProblemError as error:

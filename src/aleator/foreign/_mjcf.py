@@ -7,7 +7,7 @@ knows in full: what it compiles is what it simulates. Where its equations yield 
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -66,15 +66,15 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     joints, posture = _joints_of(model), dict[str, float]()
     for body in range(1, model.nbody):
         _read_body(model, body, joints, reading)
-    for joint, name in joints.items():
-        ends = _joint(model, joint).coordinates
-        values = model.qpos0[model.jnt_qposadr[joint] :][: len(ends)].tolist()
-        posture |= {f"{name}{end}": value for end, value in zip(ends, values, strict=True) if value}
-        is_axial = model.jnt_type[joint] in (_SLIDE, _HINGE)
-        if is_axial and model.jnt_limited[joint] and not _is_disabled(model, "LIMIT"):
-            reading.limits[name] = tuple(model.jnt_range[joint].tolist())
-        if is_axial and model.jnt_actfrclimited[joint]:
-            reading.limits[f"{name}_torque"] = tuple(model.jnt_actfrcrange[joint].tolist())
+    for i, name in joints.items():
+        joint = model.joint(i)
+        places = zip(_joint(model, joint).coordinates, joint.qpos0.tolist(), strict=True)
+        posture |= {f"{name}{end}": value for end, value in places if value}
+        is_axial = joint.type[0] in (_SLIDE, _HINGE)
+        if is_axial and joint.limited[0] and not _is_disabled(model, "LIMIT"):
+            reading.limits[name] = tuple(joint.range.tolist())
+        if is_axial and model.jnt_actfrclimited[i]:
+            reading.limits[f"{name}_torque"] = tuple(model.jnt_actfrcrange[i].tolist())
     loops, couplings = _equations(model, joints, reading)
     _note_effects(model, reading)
     gravity = (0.0, 0.0, 0.0) if _is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
@@ -91,15 +91,14 @@ def _compiled(path: str | Path, reading: Reading) -> Model:
 
     Raises `ProblemError` for what MuJoCo refuses, and for inertia from a mesh.
     """
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as heard:
         try:
             specification = _library().MjSpec.from_file(str(path))
-            reading.effects["flex"] = [f"flex '{flex.name}'" for flex in specification.flexes]
+            reading.effects["flex"] += [f"flex '{flex.name}'" for flex in specification.flexes]
             _delete(specification, specification.flexes)
-            _remove_files(specification, reading)
             # Bodies keep their names and places.
             specification.compiler.fusestatic = False
+            _remove_files(specification, reading)
             model = specification.compile()
         except ProblemError:
             raise
@@ -111,42 +110,38 @@ def _compiled(path: str | Path, reading: Reading) -> Model:
 
 
 def _remove_files(specification: Any, reading: Reading) -> None:
-    """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them."""
+    """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them.
+
+    Raises `ProblemError` for inertia from a mesh: where that of a moving body hangs on the size of spheres instead.
+    """
     shapes = [geom for geom in specification.geoms if geom.meshname or geom.hfieldname]
-    for geom in shapes:
-        if _gives_inertia(specification, geom):
-            raise reading.broken(
-                f"body '{geom.parent.name}'",
-                f"expected its inertia in numbers; received a mesh ('{geom.meshname or geom.name}') to compute it "
-                "from, which is not read. Give the body an <inertial> with pos, mass and fullinertia (MuJoCo writes "
-                "the numbers that it computes itself by mj_saveLastXML).",
-            )
-    if shapes:
-        reading.notes.append(f"Meshes and height fields are not read ({len(shapes)}).")
-        names = {geom.name for geom in shapes if geom.name}
-        _delete(specification, [pair for pair in specification.pairs if {pair.geomname1, pair.geomname2} & names])
-        _delete(specification, shapes)
+    named = [geom.meshname or geom.name for geom in shapes]
     for owner in (*specification.geoms, *specification.sites, *specification.tendons):
         owner.material = ""
+    for shape in shapes:
+        shape.type, shape.meshname, shape.hfieldname = _library().mjtGeom.mjGEOM_SPHERE, "", ""
     for parts in ("sensors", "tuples", "skins", "meshes", "hfields", "materials", "textures"):
         _delete(specification, getattr(specification, parts))
-
-
-def _gives_inertia(specification: Any, geom: Any) -> bool:
-    """Whether the inertia of a moving body is computed from a shape."""
-    kinds, moving = _library().mjtInertiaFromGeom, geom.parent
-    while moving is not None and moving.name != "world" and not len(moving.joints):
-        moving = moving.parent
-    # Bodies of an attached file keep its settings.
-    settings = getattr(geom.parent, "compiler", specification.compiler)
-    rule, (first, last) = settings.inertiafromgeom, settings.inertiagrouprange
-    is_fixed = moving is None or moving.name == "world"
-    if is_fixed or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
-        return False
-    if rule != kinds.mjINERTIAFROMGEOM_TRUE and geom.parent.explicitinertial:
-        return False
-    # A mass that is not given is NaN.
-    return geom.mass != 0 and (geom.mass > 0 or geom.density > 0)
+    if not shapes:
+        return
+    models = list[Model]()
+    for size in (1, 2):
+        for shape in shapes:
+            shape.size = [size] * 3
+        models.append(specification.compile())
+    small, large = models
+    is_moving, hangs = small.body_weldid > 0, np.any(small.body_inertia != large.body_inertia, axis=1)
+    if (bodies := np.flatnonzero(is_moving & hangs)).size:
+        name = next((name for name, shape in zip(named, shapes, strict=True) if shape.parent.id == bodies[0]), named[0])
+        raise reading.broken(
+            f"body '{small.body(bodies[0]).name}'",
+            f"expected its inertia in numbers; received a mesh ('{name}') to compute it from, which is not read. Give "
+            "the body an <inertial> with pos, mass and fullinertia (MuJoCo writes the numbers that it computes itself "
+            "by mj_saveLastXML).",
+        )
+    for shape in shapes:
+        shape.mass = 0
+    reading.notes.append(f"Meshes and height fields are not read ({len(shapes)}).")
 
 
 def _delete(specification: Any, parts: Collection[Any]) -> None:
@@ -165,7 +160,7 @@ def _note_effects(model: Model, reading: Reading) -> None:
     def add(effect: str, kind: str, places: Iterable[Any]) -> None:
         names = [(int(i), getattr(model, kind)(int(i)).name) for i in places]
         elements = [f"{kind} '{name}'" if name else f"{kind} {i} (without a name)" for i, name in names]
-        reading.effects.setdefault(effect, []).extend(elements)
+        reading.effects[effect] += elements
 
     for effect, kind, fields, flags in _EFFECTS:
         # Fields that an older MuJoCo does not have are zero.
@@ -180,7 +175,7 @@ def _note_effects(model: Model, reading: Reading) -> None:
     if not (_is_disabled(model, "SPRING") and _is_disabled(model, "DAMPER")):
         is_weightless = _is_disabled(model, "GRAVITY") or not np.any(model.opt.gravity)
         add("gravcomp", "body", [] if is_weightless else np.flatnonzero(model.body_gravcomp))
-        reading.effects["fluid"] = ["option"] * (model.opt.density > 0 or model.opt.viscosity > 0)
+        reading.effects["fluid"] += ["option"] * (model.opt.density > 0 or model.opt.viscosity > 0)
     add("plugins", "body", np.flatnonzero(model.body_plugin >= 0))
     for count, note in (
         (model.nu, "Actuators are not read ({}): each joint has a torque of its own."),
@@ -198,8 +193,9 @@ def _note_effects(model: Model, reading: Reading) -> None:
 def _joints_of(model: Model) -> dict[int, str]:
     """The names of the bodies that carry joints, by MuJoCo's number of the joint: those of the joints, as a rule."""
     links = [_link_name(model, body) for body in range(1, model.nbody)]
-    given = {i: model.joint(i).name or _link_name(model, int(model.jnt_bodyid[i])) for i in range(model.njnt)}
-    return given | carriers({i: name for i, name in given.items() if not _is_link_itself(model, i)}, links)
+    joints = [model.joint(i) for i in range(model.njnt)]
+    given = {joint.id: joint.name or _link_name(model, int(joint.bodyid[0])) for joint in joints}
+    return given | carriers({joint.id: given[joint.id] for joint in joints if not _is_link_itself(model, joint)}, links)
 
 
 def _link_name(model: Model, body: int) -> Any:
@@ -207,14 +203,13 @@ def _link_name(model: Model, body: int) -> Any:
     return model.body(body).name or f"body_{body}" if body else None
 
 
-def _joints_on(model: Model, body: int) -> range:
-    return range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+def _joints_on(model: Model, body: int) -> list[Any]:
+    return [model.joint(i) for i in np.flatnonzero(model.jnt_bodyid == body).tolist()]
 
 
-def _is_link_itself(model: Model, joint: int) -> bool:
+def _is_link_itself(model: Model, joint: Any) -> bool:
     """Whether a joint needs no body of its own: it has no name, and is the only one of its link, at its origin."""
-    is_alone = model.body_jntnum[model.jnt_bodyid[joint]] == 1
-    return is_alone and not model.joint(joint).name and not np.any(model.jnt_pos[joint])
+    return not joint.name and not np.any(joint.pos) and model.body_jntnum[joint.bodyid[0]] == 1
 
 
 def _read_body(model: Model, body: int, joints: dict[int, str], reading: Reading) -> None:
@@ -223,9 +218,8 @@ def _read_body(model: Model, body: int, joints: dict[int, str], reading: Reading
     position, turned = model.body_pos[body], _rotation(model.body_quat[body])
     mine: Any = Fixed()
     for joint in _joints_on(model, body):
-        kind, axis = model.jnt_type[joint], model.jnt_axis[joint]
-        reference = float(model.qpos0[model.jnt_qposadr[joint]])
-        anchor = model.jnt_pos[joint] if kind in (_BALL, _HINGE) else np.zeros(3)
+        kind, axis, reference = joint.type[0], joint.axis, float(joint.qpos0[0])
+        anchor = joint.pos if kind in (_BALL, _HINGE) else np.zeros(3)
         if kind == _FREE:
             # Its coordinates are those of the world.
             position, turned = np.zeros(3), Rotation.identity()
@@ -237,28 +231,22 @@ def _read_body(model: Model, body: int, joints: dict[int, str], reading: Reading
         if _is_link_itself(model, joint):
             mine = _joint(model, joint)
             break
-        reading.carrier(joints[joint], parent, _joint(model, joint), (geometry(position), orientation(turned)))
-        parent, position, turned = joints[joint], -anchor, Rotation.identity()
+        reading.link(joints[joint.id], parent, _joint(model, joint), (geometry(position), orientation(turned)))
+        parent, position, turned = joints[joint.id], -anchor, Rotation.identity()
     inertia = moments(np.diag(model.body_inertia[body]), _rotation(model.body_iquat[body]))
     place = geometry(position), orientation(turned)
-    mass, center = float(model.body_mass[body]), geometry(model.body_ipos[body])
-    reading.link(_link_name(model, body), parent, mine, place, mass, center, inertia)
+    weight = {"mass": float(model.body_mass[body]) or 0, "center": geometry(model.body_ipos[body]), "inertia": inertia}
+    reading.link(_link_name(model, body), parent, mine, place, **weight)
 
 
-def _joint(model: Model, joint: int) -> AbstractJoint:
-    kind = model.jnt_type[joint]
-    if kind in (_FREE, _BALL):
-        return Free() if kind == _FREE else Ball()
-    speed = model.jnt_dofadr[joint]
-    stiffness = 0 if _is_disabled(model, "SPRING") else float(model.jnt_stiffness[joint])
-    damping = 0 if _is_disabled(model, "DAMPER") else float(model.dof_damping[speed])
-    return (Prismatic if kind == _SLIDE else Revolute)(
-        geometry(model.jnt_axis[joint]),
-        damping=damping or 0,
-        stiffness=stiffness or 0,
-        rest=float(model.qpos_spring[model.jnt_qposadr[joint]]) or 0,
-        armature=float(model.dof_armature[speed]) or 0,
-    )
+def _joint(model: Model, joint: Any) -> AbstractJoint:
+    if joint.type[0] in (_FREE, _BALL):
+        return Free() if joint.type[0] == _FREE else Ball()
+    numbers = {"rest": joint.qpos_spring, "armature": joint.armature}
+    numbers |= {} if _is_disabled(model, "SPRING") else {"stiffness": joint.stiffness}
+    numbers |= {} if _is_disabled(model, "DAMPER") else {"damping": joint.damping}
+    kind = Prismatic if joint.type[0] == _SLIDE else Revolute
+    return kind(geometry(joint.axis), **{name: float(values[0]) or 0 for name, values in numbers.items()})
 
 
 def _rotation(quaternion: np.ndarray) -> Rotation:
@@ -268,12 +256,8 @@ def _rotation(quaternion: np.ndarray) -> Rotation:
 # --- Equations --------------------------------------------------------------------------------------------------------
 
 
-class _End(NamedTuple):
-    """A frame that an equation binds: of a body, in whose frame it has a position and a rotation."""
-
-    body: int
-    position: Float[np.ndarray, "3"]
-    turned: Rotation = Rotation.identity()
+_End: TypeAlias = tuple[int, Float[np.ndarray, "3"], Rotation]
+"""A frame that an equation binds: of a body, in whose frame it has a position and a rotation."""
 
 
 def _equations(
@@ -283,7 +267,7 @@ def _equations(
 
     A weld of a loop in one plane is not held: it would say three things twice, and so leave its forces undetermined.
     """
-    loops, couplings, others = dict[str, Closure](), dict[str, Coupling](), reading.effects.setdefault("equality", [])
+    loops, couplings, others = dict[str, Closure](), dict[str, Coupling](), reading.effects["equality"]
     if _is_disabled(model, "CONSTRAINT", "EQUALITY"):
         return loops, couplings
     for index in np.flatnonzero(model.eq_active0).tolist():
@@ -323,40 +307,38 @@ def _coupling(model: Model, name: str, index: int, joints: dict[int, str]) -> Co
     )
 
 
-def _closure(model: Model, name: str, ends: tuple[_End, _End], axis: Any, *, is_weld: bool) -> Closure:
-    outer, inner = ends
+def _closure(model: Model, name: str, ends: Sequence[_End], axis: Any, *, is_weld: bool) -> Closure:
+    (parent, position, turned), (child, child_position, child_turned) = ends
     joint: Any = Fixed() if is_weld else Ball()
     if axis is not None:
-        own = _posture(model).xmat[outer.body].reshape(3, 3).T @ axis
+        own = _posture(model).xmat[parent].reshape(3, 3).T @ axis
         along = int(np.argmax(np.abs(own)))
         # An axis of coordinates by its name, whatever its sense.
         joint = Revolute("xyz"[along] if abs(own[along]) > 1 - _SAME else geometry(own))
-    turned = [orientation(end.turned) if is_weld else (0, 0, 0) for end in ends]
     return Closure(
         name,
-        parent=_link_name(model, outer.body),
-        child=_link_name(model, inner.body),
+        parent=_link_name(model, parent),
+        child=_link_name(model, child),
         joint=joint,
-        position=geometry(outer.position),
-        child_position=geometry(inner.position),
-        orientation=turned[0],
-        child_orientation=turned[1],
+        position=geometry(position),
+        child_position=geometry(child_position),
+        orientation=orientation(turned) if is_weld else (0, 0, 0),
+        child_orientation=orientation(child_turned) if is_weld else (0, 0, 0),
         planar=axis is not None,
     )
 
 
-def _ends(model: Model, index: int) -> tuple[_End, _End]:
+def _ends(model: Model, index: int) -> list[_End]:
     """What an equation binds, as MuJoCo's engine takes its numbers."""
     numbers, pair = model.eq_data[index], [int(model.eq_obj1id[index]), int(model.eq_obj2id[index])]
     if model.eq_objtype[index] == _library().mjtObj.mjOBJ_SITE:
-        at = [(int(model.site_bodyid[i]), model.site_pos[i], _rotation(model.site_quat[i])) for i in pair]
-        return _End(*at[0]), _End(*at[1])
-    if model.eq_type[index] == _WELD:
-        return _End(pair[0], numbers[3:6], _rotation(numbers[6:10])), _End(pair[1], numbers[:3])
-    return _End(pair[0], numbers[:3]), _End(pair[1], numbers[3:6])
+        return [(int(model.site_bodyid[i]), model.site_pos[i], _rotation(model.site_quat[i])) for i in pair]
+    is_weld, straight = model.eq_type[index] == _WELD, Rotation.identity()
+    first, second = (numbers[3:6], numbers[:3]) if is_weld else (numbers[:3], numbers[3:6])
+    return [(pair[0], first, _rotation(numbers[6:10]) if is_weld else straight), (pair[1], second, straight)]
 
 
-def _joints_between(model: Model, ends: tuple[_End, _End]) -> list[int]:
+def _joints_between(model: Model, ends: Sequence[_End]) -> list[Any]:
     """The joints by which two bodies move against one another."""
     chains: list[set[int]] = []
     for body, *_ in ends:
@@ -367,18 +349,14 @@ def _joints_between(model: Model, ends: tuple[_End, _End]) -> list[int]:
     return [joint for body in sorted(chains[0] ^ chains[1]) for joint in _joints_on(model, body)]
 
 
-def _plane(model: Model, between: Sequence[int]) -> Float[np.ndarray, "3"] | None:
+def _plane(model: Model, between: Sequence[Any]) -> Float[np.ndarray, "3"] | None:
     """The direction, in the world's axes, across a plane to which joints confine a loop; None for a loop in space."""
-    hinges = [joint for joint in between if model.jnt_type[joint] == _HINGE]
-    if not hinges or any(model.jnt_type[joint] not in (_SLIDE, _HINGE) for joint in between):
-        return None
     directions = _posture(model).xaxis
-    axis = directions[hinges[0]]
-    for joint in between:
-        is_slide = model.jnt_type[joint] == _SLIDE
-        if np.max(np.abs(directions[joint] @ axis if is_slide else np.cross(directions[joint], axis))) > _SAME:
-            return None
-    return axis
+    hinges, slides = ([directions[one.id] for one in between if one.type[0] == kind] for kind in (_HINGE, _SLIDE))
+    if not hinges or len(hinges) + len(slides) < len(between):
+        return None
+    apart = [*np.cross(hinges, hinges[0]).flat, *(slide @ hinges[0] for slide in slides)]
+    return hinges[0] if np.max(np.abs(apart)) <= _SAME else None
 
 
 def _posture(model: Model) -> Any:

@@ -1,9 +1,15 @@
-"""`Robot`: the tree of bodies that a file describes, and `Reading`, which the readers of all formats fill."""
+"""`Robot`: the tree of bodies that a file describes; `Reading`, which the readers of all formats fill; URDF.
 
+URDF is the Unified Robot Description Format of ROS (wiki.ros.org/urdf/XML). Of it, dynamics need a handful of elements,
+which are all read here, by the XML parser of Python: a library would bring meshes and viewers along, and would not say
+which element is wrong. Nothing is computed from geometry, which this format does not do either.
+"""
+
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import Any, NamedTuple, TypeVar, final
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -12,15 +18,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
-from aleator._core.border import content_of, members, refusal
+from aleator._core.border import content_of, meant, members, one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.mechanics import Body, Closure, Coupling, Multibody
+from aleator.mechanics import Body, Closure, Coupling, Fixed, Free, Multibody, Prismatic, Revolute
 from aleator.mechanics._bodies import sorted_bodies
 
 Key = TypeVar("Key", int, str)
 # The rounding error of a rotation matrix, whose zeros and ones are not exact.
 _ROUNDING = 1e-15
+_NONE = (0, 0, 0)
 # The effects that can be left out, and what they are.
 _EFFECTS: Mapping[str, str] = {
     "friction": "dry friction; put a smooth law into `bias` of a model of your own",
@@ -95,14 +102,14 @@ class Reading:
     """
 
     def __init__(self, reader: str, path: str | Path, leave_out: Any):
-        self._reader, self._path = reader, path
+        self._path = one_of(reader, path, (str, Path), "'robot.xml'")
         self.left_out = members(f"{reader}: leave_out", [leave_out] if isinstance(leave_out, str) else leave_out, str)
         if unknown := [name for name in self.left_out if name not in _EFFECTS]:
             raise refusal(f"{reader}: leave_out", f"some of {sorted(_EFFECTS)}", unknown[0])
         self.bodies: list[Body] = []
         self.limits: dict[str, tuple[float, float]] = {}
         self.notes: list[str] = []
-        self.effects: dict[str, list[str]] = {}
+        self.effects = defaultdict[str, list[str]](list)
 
     def broken(self, where: str, what: str) -> ProblemError:
         """The error that names the file, an element in it, and what is wrong there."""
@@ -126,8 +133,6 @@ class Reading:
         parser.CharacterDataHandler = builder.data
         try:
             parser.Parse(content_of(self._path), True)
-        except TypeError as error:
-            raise refusal(self._reader, "the path of a file", self._path) from error
         except (OSError, ValueError, LookupError, expat.ExpatError) as error:
             reason = getattr(error, "strerror", None) or error
             raise self.broken("", f"expected a file of XML that can be read; received: {reason}.") from error
@@ -136,17 +141,13 @@ class Reading:
             raise self.broken("", f"expected <{outermost}> as the outermost element; received <{root.tag}>.")
         return root
 
-    def link(self, name: str, parent: str | None, joint: Any, place: Any, *weight: Any) -> None:
-        """Add a body. `place`: its position and orientation; `weight`: mass, center, and moments by `moments`."""
-        mass, center, inertia = weight
-        where = {"position": place[0], "orientation": place[1]}
+    def link(self, name: str, parent: str | None, joint: Any, place: Any = (_NONE, _NONE), **weight: Any) -> None:
+        """Add a body; `place`: its position and orientation; `weight`: its mass, center, and inertia by `moments`, none
+        of a body that only carries a joint.
+        """
+        numbers = {"position": place[0], "orientation": place[1], "mass": 0, "center": _NONE, "inertia": _NONE}
         with self.naming(f"link '{name}'"):
-            body = Body(name, parent=parent, joint=joint, mass=mass or 0, center=center, inertia=inertia, **where)
-        self.bodies.append(body)
-
-    def carrier(self, name: str, parent: str | None, joint: Any, place: Any) -> None:
-        """Add a body without mass that a joint moves, and with it what is fixed to it."""
-        self.link(name, parent, joint, place, 0, (0, 0, 0), (0, 0, 0))
+            self.bodies.append(Body(name, parent=parent, joint=joint, **(numbers | weight)))
 
     def robot(self, **fields: Any) -> Robot:
         """The robot, with further fields.
@@ -193,14 +194,191 @@ def orientation(turned: Rotation) -> Any:
     matrix = turned.as_matrix()
     whole = np.round(matrix)
     clean = np.where(np.abs(matrix - whole) < _ROUNDING, whole, matrix)
-    return (0, 0, 0) if np.array_equal(clean, np.eye(3)) else geometry(clean)
+    return _NONE if np.array_equal(clean, np.eye(3)) else geometry(clean)
 
 
 def moments(matrix: Any, turned: Rotation) -> Any:
     """Moments of inertia along the axes of a body, from a matrix (3, 3) of those along axes that are turned."""
     if not np.any(matrix):
-        return (0, 0, 0)
-    if not np.array_equal(orientation(turned), (0, 0, 0)):
+        return _NONE
+    if not np.array_equal(orientation(turned), _NONE):
         matrix = turned.as_matrix() @ matrix @ turned.as_matrix().T
     numbers = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return numbers if np.any(numbers[3:]) else numbers[:3]
+
+
+# --- URDF -------------------------------------------------------------------------------------------------------------
+
+_AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}
+_KINDS = (*_AXIAL, "fixed", "floating")
+# What is read, and what has no part in the motion of a tree of bodies.
+_READ = {
+    "robot": ("link", "joint", "material"),
+    "link": ("inertial", "visual", "collision"),
+    "joint": ("origin", "parent", "child", "axis", "dynamics", "limit", "mimic", "calibration", "safety_controller"),
+}
+# The attributes of elements that say where things are and what they weigh: another one is a slip of the pen.
+_ATTRIBUTES = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "mass": ("value",),
+    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
+    "parent": ("link",),
+    "child": ("link",),
+}
+
+
+def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[str] = ()) -> Robot:
+    """The robot in a URDF file, as a tree of bodies: an `al.Multibody` whose numbers are fields.
+
+    - `floating`: whether the first link moves freely (coordinates `<link>_x`, ...), as those of drones and walking
+      robots; otherwise it is fixed to the ground;
+    - `leave_out`: effects to do without, by name: "friction" (dry friction, `<dynamics friction>`), "mimic" (a joint
+      that follows another one becomes a joint of its own), "ball" (dampers of floating joints) and "extensions"
+      (attributes of `<dynamics>` that the format does not have). A file with one of these is refused otherwise.
+
+    Read are links with their inertial elements, and fixed, revolute, continuous, prismatic and floating joints with
+    their dampers. Limits are in `robot.limits`. Geometry is not looked at: no file of a mesh need exist, bodies pass
+    through one another, and a link without `<inertial>` has no mass, as the format has it. `robot.notes` says what else
+    was not read.
+
+    Raises `ProblemError`, with the file and the element, for what is no URDF, no tree or no possible body.
+    """
+    reading = Reading("read_urdf", path, leave_out)
+    one_of("read_urdf: floating", floating, bool)
+    root = reading.root("robot")
+    links, joints = (_named(reading, root, tag) for tag in ("link", "joint"))
+    names = carriers({name: name for name in joints}, links)
+    _link(links[_root(reading, links, joints)], None, Free() if floating else Fixed())
+    for name, joint in joints.items():
+        _joint(joint, names[name], links)
+    if root.find("link/collision") is not None:
+        reading.notes.append("There is no contact: bodies pass through one another.")
+    if bare := [name for name, link in links.items() if link.element.find("inertial") is None]:
+        reading.notes.append(f"Links without <inertial> have no mass: {', '.join(bare)}.")
+    for owner, tags in _READ.items():
+        elements = [root] if owner == "robot" else root.findall(owner)
+        if others := sorted({str(child.tag) for element in elements for child in element}.difference(tags)):
+            reading.notes.append(f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}.")
+    return reading.robot()
+
+
+class _Place(NamedTuple):
+    """An element of a file, under a name that a user finds there."""
+
+    reading: Reading
+    where: str
+    element: Element
+
+    def child(self, tag: str) -> "_Place":
+        """The element of a tag within; one without attributes if there is none.
+
+        Raises `ProblemError` for several, and for attributes that it does not have.
+        """
+        found = self.element.findall(tag)
+        place = _Place(self.reading, f"{self.where}, <{tag}>", found[0] if found else Element(tag))
+        known = _ATTRIBUTES.get(tag, tuple(place.element.attrib))
+        if others := [attribute for attribute in place.element.attrib if attribute not in known]:
+            raise self.reading.broken(place.where, f"expected some of {list(known)}; received {others[0]!r}.")
+        if len(found) > 1:
+            raise self.reading.broken(place.where, f"expected one such element; received {len(found)}.")
+        return place
+
+    def text(self, attribute: str) -> str:
+        """An attribute. Raises `ProblemError` where it is missing or empty."""
+        if found := self.element.get(attribute, "").strip():
+            return found
+        raise self.reading.broken(self.where, f"expected the attribute {attribute}; received none.")
+
+    def numbers(self, attribute: str, default: Any = None, count: int = 3) -> tuple[float, ...]:
+        """So many finite numbers. Raises `ProblemError` for others."""
+        if default is not None and attribute not in self.element.attrib:
+            return tuple(default)
+        text, found = self.text(attribute), ()
+        with suppress(ValueError):
+            found = tuple(map(float, text.split()))
+        if len(found) != count or not np.isfinite(found).all():
+            what = f"expected {attribute} as finite numbers, {count} of them; received {text!r}."
+            raise self.reading.broken(self.where, what)
+        return found
+
+    def number(self, attribute: str, default: float | None = None) -> float:
+        """One finite number. Raises `ProblemError` for others."""
+        return self.numbers(attribute, None if default is None else (default,), 1)[0]
+
+
+def _named(reading: Reading, root: Element, tag: str) -> dict[str, _Place]:
+    """The elements of a tag by name."""
+    found: dict[str, _Place] = {}
+    for element in root.findall(tag):
+        name = _Place(reading, f"<{tag}>", element).text("name")
+        if name in found:
+            raise reading.broken(f"{tag} '{name}'", f"expected one {tag} of this name; received two.")
+        found[name] = _Place(reading, f"{tag} '{name}'", element)
+    return found
+
+
+def _root(reading: Reading, links: Mapping[str, _Place], joints: Mapping[str, _Place]) -> str:
+    """The link that no joint carries. Raises `ProblemError` for ends of joints that are no links, and for no tree."""
+    carried: dict[str, str] = {}
+    for name, joint in joints.items():
+        for end in ("parent", "child"):
+            if (link := joint.child(end).text("link")) not in links:
+                what = f"expected a link of the file as its {end}; received '{link}'.{meant(link, links)}"
+                raise reading.broken(joint.where, what)
+        if (other := carried.setdefault(link := joint.child("child").text("link"), name)) != name:
+            raise reading.broken(
+                f"link '{link}'",
+                f"expected one joint that carries it; received '{other}' and '{name}'. A tree has no loops: remove one "
+                "joint, and close the loop by al.joints.Closure in a model of your own.",
+            )
+    roots = [name for name in links if name not in carried]
+    if len(roots) != 1:
+        what = f"expected one <link> that no joint carries, the root; received {roots or 'none'}"
+        raise reading.broken("", f"{what}. Connect all but one of them by joints of the type fixed.")
+    return roots[0]
+
+
+def _link(link: _Place, parent: str | None, joint: Any, *place: Any) -> None:
+    """Read a link with its inertia, in its own frame."""
+    # Without <inertial> it has no mass; with it, its numbers are needed.
+    inertial, default = link.child("inertial"), 0.0 if link.element.find("inertial") is None else None
+    origin, given = inertial.child("origin"), inertial.child("inertia")
+    xx, yy, zz, xy, xz, yz = (given.number(name, default) for name in _ATTRIBUTES["inertia"])
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    turned = Rotation.from_euler("xyz", origin.numbers("rpy", (0, 0, 0)))
+    mass, center = inertial.child("mass").number("value", default), geometry(origin.numbers("xyz", (0, 0, 0)))
+    weight = {"mass": mass or 0, "center": center, "inertia": moments(matrix, turned)}
+    link.reading.link(link.text("name"), parent, joint, *place, **weight)
+
+
+def _joint(joint: _Place, name: str, links: Mapping[str, _Place]) -> None:
+    """Read a joint and the link behind it, its limits, and its effects for which a tree has no place."""
+    parent, link = joint.child("parent").text("link"), links[joint.child("child").text("link")]
+    place = [geometry(joint.child("origin").numbers(part, (0, 0, 0))) for part in ("xyz", "rpy")]
+    if (kind := joint.text("type")) == "fixed":
+        _link(link, parent, Fixed(), place)
+        return
+    reading, dynamics, limit = joint.reading, joint.child("dynamics"), joint.child("limit")
+    damping, friction = dynamics.number("damping", 0.0), dynamics.number("friction", 0.0)
+    if kind in _AXIAL:
+        axis = geometry(joint.child("axis").numbers("xyz", (1, 0, 0)))
+        with reading.naming(joint.where):
+            moving: Any = _AXIAL[kind](axis, damping=damping or 0)
+    elif kind == "floating":
+        moving = Free()
+    else:
+        raise reading.broken(joint.where, f"expected a joint of the types {list(_KINDS)}; received '{kind}'.")
+    reading.link(name, parent, moving, place)
+    _link(link, name, Fixed())
+
+    others = sorted(dynamics.element.attrib.keys() - {"damping", "friction"})
+    reading.effects["mimic"] += [joint.where] * (joint.element.find("mimic") is not None)
+    reading.effects["friction"] += [joint.where] * (friction != 0)
+    reading.effects["ball"] += [joint.where] * (kind == "floating" and damping != 0)
+    reading.effects["extensions"] += [f"{joint.where} ({attribute})" for attribute in others]
+    if kind in ("revolute", "prismatic") and limit.element.attrib:
+        reading.limits[name] = limit.number("lower", 0.0), limit.number("upper", 0.0)
+    for attribute, output in (("velocity", f"{name}_rate"), ("effort", f"{name}_torque")):
+        if kind in _AXIAL and attribute in limit.element.attrib:
+            reading.limits[output] = -limit.number(attribute), limit.number(attribute)

@@ -8,8 +8,9 @@ import functools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.special  # The text names it.
@@ -18,7 +19,7 @@ from jaxtyping import Array
 
 from aleator._core.border import meant, one_of, refusal, shown
 from aleator._core.errors import ProblemError, optional
-from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
+from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape, stored_numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 # Functions that SymPy's printer does not know of JAX.
@@ -38,11 +39,6 @@ def time_symbol() -> Any:
     """The time of SymPy's mechanics."""
     mechanics: Any = load_sympy("from_sympy").physics.mechanics
     return mechanics.dynamicsymbols._t
-
-
-def units_given(who: str, units: Any) -> dict[str, str]:
-    """Units of outputs by name."""
-    return dict(one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}"))
 
 
 # --- Expressions and what they contain --------------------------------------------------------------------------------
@@ -68,20 +64,11 @@ def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
     return {name: expression(f"{what}, '{name}'", formula) for name, formula in given.items()}
 
 
-class Contents(NamedTuple):
-    """What some expressions contain, each in the order of its name.
+def contents_of(who: str, expressions: Iterable[Any]) -> tuple[list[Any], list[Any], list[Any]]:
+    """Functions of time in expressions, such as `q(t)`, derivatives of these, and plain symbols, each by their names.
 
-    - `functions`: functions of time, such as `q(t)`; `derivatives` of these;
-    - `symbols`: plain symbols, the time too where it stands outside of functions.
+    The time is a symbol where it stands outside of functions. Raises `ProblemError` for functions of anything else.
     """
-
-    functions: tuple[Any, ...]
-    derivatives: tuple[Any, ...]
-    symbols: tuple[Any, ...]
-
-
-def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
-    """What expressions contain. Raises `ProblemError` for functions of anything but the time."""
     sympy = load_sympy(who)
     whole, time, applied = sympy.Tuple(*expressions), time_symbol(), sympy.core.function.AppliedUndef
     functions = whole.atoms(applied)
@@ -94,13 +81,13 @@ def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
             )
     plain = whole.xreplace({part: sympy.Dummy() for part in derivatives | functions})
     symbols = (symbol for symbol in plain.free_symbols if not isinstance(symbol, sympy.Dummy))
-    return Contents(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
+    return sorted(functions, key=str), sorted(derivatives, key=str), sorted(symbols, key=str)
 
 
 def refuse_others(what: str, expressions: Iterable[Any], known: Collection[Any], remedy: str) -> None:
     """Raise `ProblemError`, with what to do, if expressions contain anything that is not known."""
-    found = contents_of(what, expressions)
-    for part in (*found.derivatives, *found.functions, *found.symbols):
+    functions, derivatives, symbols = contents_of(what, expressions)
+    for part in (*derivatives, *functions, *symbols):
         if part not in known:
             listed = ", ".join(sorted(map(str, known))[:8]) + ", ..." * (len(known) > 8)
             raise ProblemError(f"{what}: expected no other symbols than {listed or 'none'}; received {part}. {remedy}")
@@ -218,6 +205,28 @@ class Program:
         return dict(zip(self.names, self(values), strict=True))
 
 
+class AbstractFromSymPy(Module):
+    """What was written in SymPy: the numbers of its symbols, and programs, which are its structure.
+
+    - `numbers`: by the names of symbols; programs take their values in the order of the alphabet;
+    - `formulas`: the outputs; `declared`: their units.
+    """
+
+    numbers: dict[str, Any] = eqx.field(kw_only=True)
+    formulas: Program = eqx.field(static=True, kw_only=True)
+    declared: tuple[tuple[str, str], ...] = eqx.field(static=True, kw_only=True)
+
+    units = property(lambda self: dict(self.declared))
+
+    def _values(self) -> list[Any]:
+        return [self.numbers[name] for name in sorted(self.numbers)]
+
+
+def units_given(who: str, units: Any) -> tuple[tuple[str, str], ...]:
+    """Units of outputs by name."""
+    return tuple(one_of(f"{who}: units", units or {}, Mapping, "{'x': 'm'}").items())
+
+
 def written(what: str, given: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
     """The program of some expressions, or of expressions by name, as a function of the values of `symbols` in order.
 
@@ -275,11 +284,11 @@ def _printer() -> Any:
         def _print_Float(self, expr: Any) -> str:  # noqa: N802
             return repr(float(expr))
 
-        def _print_Integer(self, expr: Any) -> str:  # noqa: N802
-            return str(expr.p) if abs(expr.p) < 2**53 else repr(float(expr))
-
         def _print_Rational(self, expr: Any) -> str:  # noqa: N802
-            return f"({expr.p}/{expr.q})" if max(abs(expr.p), expr.q) < 2**53 else repr(float(expr))
+            exact = str(expr.p) if expr.q == 1 else f"({expr.p}/{expr.q})"
+            return exact if max(abs(expr.p), expr.q) < 2**53 else repr(float(expr))
+
+        _print_Integer = _print_Rational  # noqa: N815
 
         def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
             if expr.exp.is_Integer and expr.exp < 0:

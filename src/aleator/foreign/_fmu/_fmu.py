@@ -1,22 +1,29 @@
-"""`Fmu`: a model in a file, and what it offers."""
+"""`Fmu`: a model in a file, what it offers, and the process in which it runs, whose crashes end nothing here."""
 
 import functools
 import hashlib
+import os
+import pickle
+import queue
 import shutil
+import subprocess
+import sys
 import tempfile
+import threading
 import weakref
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from multiprocessing.spawn import get_executable
 from pathlib import Path
-from typing import Any, final
+from typing import IO, Any, cast, final
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.border import content_of, meant, one_of, positive, refusal, shown
-from aleator._core.errors import ProblemError, optional
-from aleator.foreign._fmu._doors import OwnProcess
-from aleator.foreign._fmu._library import Library
+from aleator._core.errors import AleatorError, ProblemError, SimulationError, optional
+from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group, last_lines
+from aleator.foreign._fmu._library import Library, usual_sizes
 
 # What users call the interfaces, and FMPy does. The first one offered is the default.
 _KINDS = {"model exchange": "modelExchange", "co-simulation": "coSimulation"}
@@ -25,6 +32,12 @@ _REAL = ("Real", "Float64")  # in FMI 2 and 3
 _IN_NUMPY = {"Real": "float64", "Float32": "float64", "Integer": "int32", "Enumeration": "int32", "Boolean": "bool"}
 # As many characters of another library's message are repeated.
 _LONGEST = 160
+# What the process runs: it finds modules where this one does, and reads nothing of the user's script, so that a script
+# needs no `if __name__ == "__main__":`.
+_CODE = (
+    "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
+    "from aleator.foreign._fmu._fmu import serve; serve()"
+)
 
 
 @final
@@ -98,7 +111,7 @@ class Fmu:
 
     def sizes(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
         """The usual sizes that variables declare; 1 for others."""
-        return np.array([abs(float(self.variables[name].nominal or 1.0)) or 1.0 for name in names])
+        return usual_sizes(self.variables[name] for name in names)
 
     def units(self, names: Iterable[str]) -> Mapping[str, str]:
         """The units that variables declare, by name."""
@@ -148,24 +161,18 @@ def _opened_again(digest: str, path: Path, settings: tuple[tuple[str, Any], ...]
 def _unpacked(path: Path, folder: Path) -> tuple[Any, str]:
     """The model description of an FMU, which is unpacked into a folder, and the digest of its file.
 
-    Raises `ProblemError` for a file that is no FMU of FMI 2 or 3 for this machine; `MissingExtraError` without FMPy.
+    Raises `ProblemError` for a file that is no FMU of FMI 2 or 3; `MissingExtraError` without FMPy.
     """
     fmpy = optional("fmpy", "Fmu", "'aleator[fmu]'")
     try:
         digest = hashlib.sha256(content_of(path)).hexdigest()
         description = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), str(folder))
-        platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
         words = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
-    if fmpy.platform not in platforms:
-        raise ProblemError(
-            f"FMU '{path.stem}': expected a binary for this machine, {fmpy.platform}; it has "
-            f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
-        )
     return description, digest
 
 
@@ -182,3 +189,120 @@ def _of_type(what: str, kind: str, value: Any) -> Any:
         if np.ndim(value) == 0 and number == value:
             return number.item()
     raise refusal(what, f"a value of FMI's type {kind}", value)
+
+
+# --- Processes --------------------------------------------------------------------------------------------------------
+
+
+@final
+class OwnProcess:
+    """An FMU in a process of its own, which lasts from one question to the next, and is started again after its death.
+
+    - `opening`: what `Library` takes; `time_limit`: seconds for one answer, after which the process is ended.
+
+    Raises `ProblemError` if the library cannot be loaded, `SimulationError` if it ends the process or hangs.
+    """
+
+    def __init__(self, *opening: Any, time_limit: float | None):
+        self._name, self._opening, self._limit = opening[0], opening, time_limit
+        self._lock = threading.RLock()
+        with self._lock:
+            self._start()
+
+    def ask(self, method: str, *arguments: Any, where: str) -> Any:
+        """What a method of the library returns; `where`: at which numbers it is asked, such as ', with x=1'."""
+        with self._lock:
+            if not self.end.alive:
+                self._start()
+            return self._answered((method, *arguments), where, self._limit)
+
+    def _start(self) -> None:
+        self._printed = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the process)
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._printed}
+        self.process: Any = subprocess.Popen([get_executable(), "-c", _CODE], **pipes, **in_group())
+        self.end = weakref.finalize(self, _end, self.process, self._printed)
+        # Before it is ready, it imports: that is no run.
+        self._answered(sys.path, " before it began", None)
+        self._answered(self._opening, " while its library was loaded", self._limit)
+
+    def _answered(self, question: Any, where: str, limit: float | None) -> Any:
+        """What the process answers. It is ended if that takes longer than a limit, or is interrupted."""
+        process, answer, is_late = self.process, None, threading.Event()
+
+        def end() -> None:
+            is_late.set()
+            end_group(process.pid)
+
+        timer = threading.Timer(limit or threading.TIMEOUT_MAX, end)
+        timer.daemon = True
+        try:
+            with ended_with(process.pid, lambda: answer is not None, endings()):
+                timer.start()
+                self._printed.seek(0)  # with the place at which the process writes: only the last run is of interest
+                self._printed.truncate()
+                pickle.dump(question, process.stdin)
+                process.stdin.flush()
+                answer = pickle.load(process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError) as error:
+            how = f"ended its process by {exit_told(process.wait())}{where}"
+            if is_late.is_set():
+                how = (
+                    f"did not end a run within its time limit of {limit:g} s{where}: its process was ended. If it "
+                    "needs longer, give Fmu a larger time_limit"
+                )
+            elif lines := last_lines(self._printed):
+                how += f"; it printed: {lines}"
+            raise SimulationError(f"FMU '{self._name}' {how}.") from error
+        finally:
+            timer.cancel()
+            if answer is None:
+                self.end()
+        returned, raised, is_broken = cast("tuple[Any, Any, bool]", answer)
+        if is_broken or (raised is not None and question is self._opening):
+            self.end()
+        if raised is not None:
+            raise raised
+        return returned
+
+
+def _end(process: Any, printed: IO[bytes]) -> None:
+    """End a process, if it has not ended, and close its files."""
+    if process.poll() is None:
+        end_group(process.pid)
+    process.wait()
+    for stream in (process.stdin, process.stdout, printed):
+        stream.close()
+
+
+def serve() -> None:
+    """Answer the process that started this one, until that ends.
+
+    Reads pickles: first what `Library` takes, then names of methods with their arguments. Writes pickles: what is
+    returned, what is raised, and whether the library must not be used again; one of nothing when it begins.
+    """
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what the FMU prints goes to the file of errors
+    questions = queue.SimpleQueue[tuple[Any, ...]]()
+
+    def read() -> None:
+        try:
+            while True:
+                questions.put(pickle.load(sys.stdin.buffer))
+        finally:
+            os._exit(1)  # in the middle of a call of the library too, and without its clean-up
+
+    threading.Thread(target=read, daemon=True).start()
+    library, returned, raised = None, None, None
+    while True:
+        pickle.dump((returned, raised, library is not None and library.is_broken), answers)
+        answers.flush()
+        question, returned, raised = questions.get(), None, None
+        try:
+            if library is None:
+                library = Library(*question)
+            else:
+                returned = library.ask(*question)
+        except AleatorError as error:
+            raised = type(error)(str(error))
+        except Exception as error:
+            raised = SimulationError(f"An FMU raised {type(error).__name__}: {error}.")
