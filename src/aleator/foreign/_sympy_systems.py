@@ -10,6 +10,7 @@ from typing_extensions import override
 
 from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
+from aleator._core.functions import returned
 from aleator._core.leaves import transparent
 from aleator.dynamics import AbstractCombined, AlgebraicSystem
 from aleator.dynamics._system import state_type
@@ -289,7 +290,8 @@ def from_kane(
             f"{[*kane._qdep, *kane._udep]}. Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with "
             "mass_matrix_full and forcing_full."
         )
-    rates, mass, forcing = kane.kindiffdict(), kane.mass_matrix, kane.forcing
+    mass, forcing = returned(f"{who}: kanes_equations(), to be called first,", lambda: (kane.mass_matrix, kane.forcing))
+    rates = kane.kindiffdict()
     kinematics = sympy.Matrix([rates[coordinate.diff(time_symbol())] for coordinate in kane.q])
     equations = [*kane.q], [*kane.u], mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], []
     return _mechanical(who, equations, numbers, outputs, units)
@@ -314,7 +316,8 @@ def from_lagrange(
     """
     sympy, who = load_sympy("from_lagrange"), "from_lagrange"
     one_of(who, lagrange, sympy.physics.mechanics.LagrangesMethod)
-    mass, forcing = lagrange.mass_matrix, lagrange.forcing
+    formed = f"{who}: form_lagranges_equations(), to be called first,"
+    mass, forcing = returned(formed, lambda: (lagrange.mass_matrix, lagrange.forcing))
     constraints, q = [*lagrange._hol_coneqs], [*lagrange.q]
     if len(lagrange.coneqs) > len(constraints):
         raise ProblemError(
