@@ -1,10 +1,12 @@
 """Wrong names of parameters of FMUs, and runs that fail: one sentence each, with the FMU's name."""
 
+import zipfile
+
 import numpy as np
 import pytest
 
 import aleator as al
-from rods import here
+from rods import here, platform
 
 GRID = al.Grid(2.0, 4)
 LONGEST = 400
@@ -36,6 +38,14 @@ def test_names_that_are_no_parameters_are_refused(rods, name, message):
 def test_a_setting_of_another_type_is_refused_which_an_fmu_would_take_for_something_else(rods, version, name, value):
     message = f"FMU 'rod{version}_mc': '{name}': expected a value of FMI's type .*; received {value!r}"
     refused(al.ProblemError, message, here, rods(version), settings={name: value})
+
+
+def test_an_fmu_without_a_binary_for_this_machine_says_for_which_it_has_one(rods, tmp_path):
+    path = tmp_path / "away.fmu"
+    with zipfile.ZipFile(rods(2)) as given, zipfile.ZipFile(path, "w") as archive:
+        for name in given.namelist():
+            archive.writestr(name.replace(platform(2), "win64/rod.dll"), given.read(name))
+    refused(al.ProblemError, "FMU 'away': expected a binary for this machine.* it has win64: export", here, path)
 
 
 FMI2, FMI3 = (2, "model exchange"), (3, "co-simulation")

@@ -168,11 +168,17 @@ def _unpacked(path: Path, folder: Path) -> tuple[Any, str]:
         digest = hashlib.sha256(content_of(path)).hexdigest()
         description = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), str(folder))
+        platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
         words = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
+    if fmpy.platform not in platforms:
+        raise ProblemError(
+            f"FMU '{path.stem}': expected a binary for this machine, {fmpy.platform}; it has "
+            f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
+        )
     return description, digest
 
 
