@@ -18,6 +18,8 @@ function library() {
 function draw(plot) {
   library();
   const { data, layout, frames } = dataFor(plot);
+  // The instants of many histories are written once.
+  for (const trace of data) if (trace.repeated) trace.x = Array(trace.repeated).fill(trace.x).flat();
   // Dragging stays with the page on touch screens: there it scrolls.
   layout.dragmode = matchMedia("(pointer: coarse)").matches ? false : "zoom";
   Plotly.newPlot(plot, { data, layout, frames, config: CONFIG });
