@@ -258,7 +258,7 @@ def test_models_and_functions_see_dicts_in_the_order_in_which_they_are_written()
         return first - sum(others)
 
     stack = {"shaft": al.Normal(10.0, 0.1), "ring": al.Normal(3.0, 0.2)}
-    assert al.expand(gap, stack).mean == pytest.approx(7.0)
-    assert al.references.linearise(gap, stack).mean == pytest.approx(7.0)
-    assert al.references.monte_carlo(gap, stack, samples=64).mean.value == pytest.approx(7.0, abs=0.2)
-    assert al.tolerance_analysis(stack, gap, lower=6.0, upper=8.0).mean == pytest.approx(7.0)
+    assert al.expand(gap, stack, traced=False).mean == pytest.approx(7.0)
+    found = al.references.monte_carlo(gap, stack, samples=64, traced=False)
+    assert found.mean.value == pytest.approx(7.0, abs=0.2)
+    assert al.tolerance_analysis(stack, gap, lower=6.0, upper=8.0).worst_case == pytest.approx((6.1, 7.9))
