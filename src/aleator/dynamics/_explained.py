@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
@@ -48,8 +49,8 @@ def explain_course(
     if kind > 0 and not t > end:
         others = [f"'{name}'" for i, name in enumerate(names) if i != int(event)]
         other = others[0] if len(others) == 1 else f"one of {', '.join(others)}"
-        start = initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start))
-        state = np.repeat(system.states, [*map(jnp.size, start)])[int(number)]
+        start = jax.eval_shape(lambda: initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start)))
+        state = np.repeat(system.states, [one.size for one in start])[int(number)]
         return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t), other=other, state=state)}"
     if np.isnan(end) and (place := _unfinished(method, system, grid, inputs)) is not None:
         return (
