@@ -1,6 +1,8 @@
 """Work of one's own within a journal: done once for the same code and numbers; and lines of JSON after a crash."""
 
+import collections
 import dataclasses
+import enum
 import functools
 import itertools
 import signal
@@ -11,6 +13,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+import scipy
 
 import aleator as al
 from aleator._core import journalled as journal_hook
@@ -75,6 +78,60 @@ def work(tmp_path: Path, calls: list[str]):
             return kept(name, function, *arguments, progress=note, **named)
 
     return run
+
+
+class Material(enum.Enum):
+    PART = 210.0
+
+
+class Softer(enum.Enum):
+    PART = 70.0
+
+
+Softer.__qualname__ = Material.__qualname__  # as after an edit
+
+
+class Kilograms(float):
+    """A number with a name."""
+
+
+@dataclasses.dataclass
+class Table:
+    """A table that does not take part in comparisons."""
+
+    rows: np.ndarray = dataclasses.field(compare=False)
+
+
+class Slots:
+    """An object without a dict, and a number in a slot of a class and of its base."""
+
+    __slots__ = ("number",)
+
+    def __init__(self, number: float):
+        self.number = number
+
+
+class OfSlots(Slots):
+    __slots__ = ()
+
+
+SPLINES = [scipy.interpolate.CubicSpline([0.0, 1.0, 2.0], [0.0, end, 2.0]) for end in (1.0, 1.5)]
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        SPLINES,
+        [Material.PART, Softer.PART],
+        [Kilograms(1.0), Kilograms(2.0)],
+        [Table(np.zeros(2)), Table(np.ones(2))],
+        [OfSlots(1.0), OfSlots(2.0)],
+        [collections.defaultdict(int), collections.defaultdict(list)],
+    ],
+)
+def test_objects_that_differ_in_anything_are_told_apart(pair):
+    one, other = map(identity_of, pair)
+    assert one is None or one != other
 
 
 def test_work_is_done_once_for_the_same_code_and_numbers_however_they_are_given(work, calls, tmp_path):

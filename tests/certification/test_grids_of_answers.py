@@ -65,3 +65,27 @@ def test_a_limit_far_inside_its_bound_does_not_hang_on_what_its_expansion_misses
         solution = al.solve(problem, throw=False)
     assert solution.ok
     assert float(solution.decisions["d"]) == pytest.approx(1 / (1 - np.exp(-8.0)), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_squared_distance_that_becomes_zero_is_no_error_of_the_grid():
+    """States that are uncorrelated in the end, whose covariance has no size by which to judge it."""
+
+    class Swing(al.System):
+        states = ("x", "v")
+        stiffness: al.Number
+        damping: al.Number
+
+        def initial(self):
+            return {"x": 1.0}
+
+        def rhs(self, t, z):
+            return z.v, -self.stiffness * z.x - self.damping * z.v
+
+        def outputs(self, t, z):
+            return {"x": z.x, "v": z.v}
+
+    numbers = al.Uniform(al.Decision(3.0, 0.1, 30.0), half_width=0.05), al.Uniform(al.Decision(0.5, 0.1, 9.0), std=0.02)
+    objective = al.covariance(al.terminal("x"), al.terminal("v")) ** 2
+    solution = al.solve(al.Problem(Swing(*numbers), grid=al.Grid(1.0, 160), minimize=objective))
+    assert solution.objective < 1e-20

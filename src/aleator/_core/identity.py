@@ -174,6 +174,7 @@ class _Texts:
             yield f"{type(it).__name__} {it.hex() if isinstance(it, float) else repr(it)}"
         elif isinstance(it, enum.Enum):
             yield f"{_name_of(type(it))}.{it.name}"
+            yield from self({name: value for name, value in vars(it).items() if name != "__objclass__"})
         elif isinstance(it, type | types.FunctionType | types.BuiltinFunctionType | np.ufunc):
             yield from self._code(it, declared)
         elif isinstance(it, frozenset | set):
@@ -197,25 +198,19 @@ class _Texts:
         if isinstance(it, eqx.Module):
             # In one order, whether it was made or changed as a tree.
             parts: Iterable[tuple[Any, Any]] = sorted(vars(it).items())
-        elif type(it).__reduce__ is not object.__reduce__ and not isinstance(it, OrderedDict):
-            parts = [("made by", it.__reduce__())]
+        elif type(it) in (dict, OrderedDict):
+            # A user's code may depend on their order, which JAX does not keep.
+            parts = it.items() if self._whole and not declared else sorted(it.items(), key=lambda item: repr(item[0]))
+        elif type(it) in (tuple, list):
+            parts = enumerate(it)
         elif isinstance(it, TracedFunction):
             if not it.digest.is_whole:
                 raise DoubtError("its equations call Python code")
             parts = [("digest", it.digest.text)]
-        elif dataclasses.is_dataclass(it):
+        elif dataclasses.is_dataclass(it) and is_library(type(it).__module__):
             parts = [(one.name, getattr(it, one.name)) for one in dataclasses.fields(it) if one.compare]
-        elif isinstance(it, dict):
-            # A user's code may depend on their order, which JAX does not keep.
-            parts = it.items() if self._whole and not declared else sorted(it.items(), key=lambda item: repr(item[0]))
-        elif isinstance(it, tuple | list):
-            parts = enumerate(it)
-        elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:
-            parts = ()  # a mark, such as Equinox's for a field that is missing
-        elif hasattr(it, "__dict__") and not is_library(type(it).__module__):
-            parts = vars(it).items()
         else:
-            raise DoubtError(f"it holds an object of {_name_of(type(it))}")
+            parts = enumerate(_made_by(it))
         for name, value in parts:
             yield from self(name)
             yield from self(value, declared=declared)
@@ -281,6 +276,17 @@ class _Texts:
         yield f"{code.co_names} {code.co_varnames} {code.co_freevars}"
         for constant in code.co_consts:
             yield from self._compiled(constant) if isinstance(constant, types.CodeType) else self(constant)
+
+
+def _made_by(it: Any) -> list[Any]:
+    """What makes an object anew in another process, all of it: slots, items, the number of a kind of `float`."""
+    try:
+        made = it.__reduce_ex__(4)
+    except Exception as error:  # whatever a class raises that cannot be pickled
+        raise DoubtError(f"it holds an object of {_name_of(type(it))}") from error
+    if isinstance(made, str):
+        raise DoubtError(f"it holds {made}, which is known to one run alone")
+    return [list(part) if isinstance(part, Iterator) else part for part in made]
 
 
 def _is_own(it: Any) -> bool:

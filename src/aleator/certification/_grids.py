@@ -42,6 +42,8 @@ _OF_A_SPREAD = 10.0
 _IN_ALL = 3.0
 # Avoids a division of zero by zero.
 _TINY = 1e-30
+# An objective that becomes zero, as a squared distance from a target does, counts as zero below this part of its gain.
+_OF_THE_GAIN = 1e-9
 # A grid is far off if it makes a quantity this many times too large.
 _FAR_OFF = 10.0
 # The finest grid has at most this many times as many steps as the first.
@@ -57,6 +59,8 @@ def grid_error(check: Check, accuracy: float) -> GridError:
     away, floor = abs(objective - float(check.values[0])), _NEGLIGIBLE_VALUE * check.reach_of(problem.objective)
     order = min([one.order for one in functionals_of((problem.objective,))], default=Deviation.order)
     tolerated = max(accuracy * max(abs(objective), floor), _TINY)
+    if OWN_ERROR * away > tolerated:
+        tolerated = max(tolerated, _OF_THE_GAIN * check.gained)
     broken = max((_broken(one, accuracy) for one in check.limits), default=(0.0, ""))[1]
     return GridError(
         steps=problem.grid.steps,
