@@ -164,3 +164,35 @@ def test_a_broken_system_beyond_the_samples_asked_for_is_no_matter():
     evidence = al.validate(fragile(-1.0), first, batch=batch)
     assert np.isfinite(evidence.functionals["x(t)"].std).all()
     assert float(evidence.functionals["x(t)"].mean[0]) == pytest.approx(np.mean(theta[:first]) / 2)
+
+
+class Rod(al.System):
+    """Temperatures as one array, heated and cooled alike."""
+
+    states = ("T",)
+    cooling: al.Number
+    heat: al.Number
+
+    def initial(self):
+        return {"T": jnp.zeros(2)}
+
+    def rhs(self, t, z):
+        return (self.heat - self.cooling * z.T,)
+
+    def outputs(self, t, z):
+        return {"T": z.T}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("samples", [101, 240])  # as many as there are instants, and more
+def test_moments_of_a_path_of_arrays_are_taken_over_the_systems(samples):
+    limit = al.path("T").at_most(5.0, sigmas=2)
+    rod = Rod(al.Uniform(0.5, half_width=0.1), al.Decision(1.0, 0.1, 30.0))
+    solution = al.solve(al.Problem(rod, grid=al.Grid(3.0, 100), minimize=-al.value("heat"), subject_to=[limit]))
+    evidence = al.validate(solution, samples)
+    assert evidence.agrees
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    rate = 0.5 + 0.1 * nodes
+    ends = float(solution.decisions["heat"]) / rate * (1 - np.exp(-3.0 * rate))
+    std = np.sqrt(weights @ ends**2 / 2 - (weights @ ends / 2) ** 2)
+    np.testing.assert_allclose(evidence.functionals["T(t)"].std[-1], std, rtol=0.2)

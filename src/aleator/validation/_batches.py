@@ -212,7 +212,9 @@ def _moments(value: Array, is_wanted: Bool[Array, ""], count: Int[Array, ""]) ->
     every, wanted = (jax.lax.all_gather(one, _SYSTEMS) for one in (value, is_wanted))
     away = jnp.where(wanted.reshape(-1, *[1] * value.ndim), every - every[:1], 0.0)
     square, ones = away**2, jnp.ones(len(every))
-    first, second, third, fourth = (ones @ powers for powers in (away, square, away * square, square**2))
+    first, second, third, fourth = (
+        jnp.tensordot(ones, powers, 1) for powers in (away, square, away * square, square**2)
+    )
     d = first / count
     return [
         every[0] + d,
