@@ -29,6 +29,8 @@ Kind = TypeVar("Kind")
 
 # Most characters of a value in a message.
 _SHOWN = 80
+# A name as close to a known one is a slip.
+_SLIP = 0.85
 
 _reprs = reprlib.Repr()
 _reprs.maxstring = _reprs.maxother = _SHOWN
@@ -169,6 +171,12 @@ def traceable(what: str, value: Any) -> Float[Array, "..."]:
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise ProblemError(f"{what}: expected {expected}; received complex ones, of shape {array.shape}.")
     return jnp.asarray(array, dtype=float)
+
+
+def refuse_slip(who: str, name: str, optional: Sequence[str]) -> None:
+    """Raise `ProblemError` for the name of something in a class that is a slip away from one that would be read."""
+    if close := difflib.get_close_matches(name, optional, n=1, cutoff=_SLIP):
+        raise ProblemError(f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own.")
 
 
 def refuse_missing(name: str, value: Any) -> None:

@@ -4,7 +4,6 @@ import abc
 import inspect
 from collections import namedtuple
 from collections.abc import Callable, Collection, Mapping
-from difflib import get_close_matches
 from functools import cache
 from types import MethodType
 from typing import Any, ClassVar, NamedTuple
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal, refuse_leaf, traceable
+from aleator._core.border import refusal, refuse_leaf, refuse_slip, traceable
 from aleator._core.errors import ProblemError
 from aleator._core.functions import first_line, returned
 from aleator._core.leaves import Module, Printed, is_leaf, named_leaves
@@ -24,8 +23,8 @@ from aleator.trajectories import AbstractSignal
 
 # The methods of a system with algebraic variables.
 _IMPLICIT = ("residual", "algebraic_guess")
-# What a system may declare; a name as close to one of these is a slip.
-_OPTIONAL, _CLOSE = ("units", "events", "initial", "algebraic", *_IMPLICIT, "unknowns", "guess"), 0.85
+# What a system may declare.
+_OPTIONAL = ("units", "events", "initial", "algebraic", *_IMPLICIT, "unknowns", "guess")
 
 
 class AbstractSystem(Module, Printed):
@@ -45,10 +44,8 @@ class AbstractSystem(Module, Printed):
         optional = [name for name in _OPTIONAL if hasattr(cls, name)]
         for name in vars(cls).keys() - inspect.get_annotations(cls).keys() - {*dir(cls.__base__), *_OPTIONAL}:
             is_declared = inspect.isfunction(vars(cls)[name]) or isinstance(vars(cls)[name], Mapping | tuple)
-            if is_declared and (close := get_close_matches(name, optional, n=1, cutoff=_CLOSE)):
-                raise ProblemError(
-                    f"{cls.__name__}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
-                )
+            if is_declared:
+                refuse_slip(cls.__name__, name, optional)
 
     @property
     def formulated(self) -> Module:

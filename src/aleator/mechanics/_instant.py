@@ -9,7 +9,6 @@ the time, and names) is read from it once.
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from difflib import get_close_matches
 from functools import cache
 from itertools import product
 from typing import Any, NamedTuple, TypeVar, final
@@ -22,6 +21,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
+from aleator._core.border import refuse_slip
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics import Grid
@@ -123,10 +123,7 @@ def refuse_lost(kind: Any) -> None:
             continue
         count = len(inspect.signature(value).parameters) - 1
         alike = [one for one, own in METHODS.items() if hasattr(kind, one) and count - len(own.arguments) in (0, 1)]
-        if close := get_close_matches(name, alike, n=1, cutoff=0.85):
-            raise ProblemError(
-                f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
-            )
+        refuse_slip(who, name, alike)
     for base, (field, method) in product(bases, CONSTRAINTS.items()):
         names, declared = vars(base).get(field, ()), getattr(kind, field)
         known = isinstance(names, tuple | list) and isinstance(declared, tuple | list)

@@ -295,13 +295,13 @@ def resolved(
     known = np.asarray(samples)
     terms = collocation.coefficients(known)
     error, variance, square = mean_squares(collocation, known, terms)
-    by_noise = 0.0 * variance if noise is None else _mean(collocation, noise[0]).reshape(-1)
-    squares = error, variance + by_noise, square
+    by_noise = np.zeros(known.shape[1:]) if noise is None else _mean(collocation, noise[0])
+    squares = error, variance + by_noise.reshape(-1), square
     spread, size = (seen(part.reshape(1, *samples.shape[1:]), functional.is_path).sum() for part in squares[1:])
     moved = 0.0
     if noise is not None and noise[1] is not None:
         # Of the standard deviation by noise alone.
-        std = np.sqrt(np.maximum(seen(_mean(collocation, noise[0])[None], functional.is_path)[0], 0.0))
+        std = np.sqrt(np.maximum(seen(by_noise[None], functional.is_path)[0], 0.0))
         slopes = [_mean(collocation, one) / np.where(std > 0, 2 * std, np.inf) for one in noise[1]]
         moved = np.array([np.sum(one**2) for one in slopes])
     return Resolved(
