@@ -103,6 +103,27 @@ def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order
     assert exact is None or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
 
 
+Beam = algebraic(lambda w, f: {"stress": jnp.stack([f / w, 2 * f / w**2]), "w": w})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("limit", "exact"),
+    [
+        (al.output("stress").at_most(1.0, probability=0.9), 1 + 0.1 * U(0.9)),
+        (al.output("stress").probability(above=1.0) <= 0.1, 1 + 0.1 * U(0.9)),
+        (al.output("stress").conditional_value_at_risk(0.9) <= 1.0, 1 + 0.1 * stats.norm.pdf(U(0.9)) / 0.1),
+    ],
+)
+def test_limits_on_tails_hold_for_every_entry_of_an_array(limit, exact):
+    # Of the two stresses the second is the larger up to a width of two.
+    model = Beam(al.Decision(3.0, 0.1, 9.0), al.Normal(1.0, 0.1))
+    solution = al.solve(al.Problem(model, minimize=al.output("w").mean, subject_to=[limit]))
+    assert solution.ok
+    assert float(solution.decisions["w"]) == pytest.approx(np.sqrt(2 * exact), rel=1e-3)
+    assert solution.constraints[0].active.ravel().tolist() == [False, True]
+
+
 # --- Limits on skewness and kurtosis ----------------------------------------------------------------------------------
 
 

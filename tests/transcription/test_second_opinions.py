@@ -163,3 +163,48 @@ def test_what_a_model_simulates_by_itself_is_checked_on_more_steps_too():
     model = EndOfSpring(al.Decision(9.0, 4.0, 16.0))
     with pytest.raises(al.SolveError, match="grids inside the model"):
         al.solve(al.Problem(model, minimize=al.output("x").mean))
+
+
+class Slide(al.System):
+    """It comes from far to rest near `aim`, by a millimetre off that depends on the rotor's angle `phi`."""
+
+    states = ("x",)
+    start: al.Number
+    phi: al.Number
+    aim: al.Number
+    rate: al.Number
+
+    def initial(self):
+        return {"x": self.start}
+
+    def rhs(self, t, z):
+        return (self.rate * (self.aim + 1e-3 * jnp.cos(7 * self.phi) - z.x),)
+
+    def outputs(self, t, z):
+        return {"x": z.x, "both": jnp.stack([z.x, 1e3 * z.x + 1e6 * self.start])}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("limited", "variables"), [(al.path("x"), 2), (al.terminal("both"), 2), (al.path("x"), 3)], ids=str
+)
+def test_an_instant_and_an_entry_of_little_spread_are_judged_by_their_own(limited, variables):
+    """The distance travelled, and a large entry beside it, vary by hundreds of times as much as the place of rest."""
+    rate = al.Uniform(5.0, half_width=0.1) if variables == 3 else 5.0
+    model = Slide(
+        al.Uniform(-0.5, half_width=0.25), al.Uniform(0.0, half_width=1.0), al.Decision(0.0, -1e-2, 1e-2), rate
+    )
+    problem = al.Problem(
+        model,
+        grid=al.Grid(4.0, 100),
+        minimize=-al.value("aim"),
+        subject_to=[limited.at_most(2e-3, sigmas=2)],
+        expansion=al.Expansion(order=3),
+    )
+    solution = al.solve(problem, throw=False)
+    mean, spread = np.sin(7) / 7e3, 1e-3 * np.sqrt(0.5 + np.sin(14) / 28 - (np.sin(7) / 7) ** 2)
+    assert solution.decisions["aim"] + mean + 2 * spread > 2.5e-3  # what the expansion calls optimal breaks the limit
+    assert not solution.ok
+    assert "broken" in solution.why()
+    assert not al.validate(solution, 4000).agrees

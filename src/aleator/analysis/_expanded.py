@@ -35,6 +35,7 @@ from aleator.expansion import (
     PiecewiseBasis,
     jackknife,
     leave_one_out,
+    leave_one_out_of_entries,
     unseen,
 )
 from aleator.statistics import varies
@@ -139,7 +140,7 @@ class Expanded(AbstractExpanded):
 
     def __str__(self) -> str:
         checks = self.leave_one_out, self.jackknife, self.error
-        remarks = jax.tree.map(self._remark, self.coefficients, *checks)
+        remarks = jax.tree.map(self._remark, self.coefficients, *checks, self.checked(leave_one_out_of_entries))
         rows = [
             ("expansion", self._how()),
             *distribution_rows(self.distributions),
@@ -158,12 +159,20 @@ class Expanded(AbstractExpanded):
         measure = "" if condition is None else f", condition number {float(condition):.3g}"
         return f"{how}, {len(self.collocation.points)} points{measure}"
 
-    def _remark(self, terms: Array, checked: Array, jackknife: Array, error: Array) -> Callable[[tuple], str]:
-        """The text on one entry of an output after its moments: where its spread comes from, and its error."""
-        known, loo, left, missed = map(concrete, (terms, checked, jackknife, error))
-        if known is None:
+    def _remark(
+        self, terms: Array, checked: Array, jackknife: Array, error: Array, entries: Array
+    ) -> Callable[[tuple], str]:
+        """The text on one entry of an output after its moments: where its spread comes from, and its error.
+
+        An array that is resolved on the whole may have an entry, or an instant, of little spread that is not.
+        """
+        known, loo, left, missed, each = map(concrete, (terms, checked, jackknife, error, entries))
+        if known is None or missed is None or each is None:
             return nothing
         trusted = trust(loo, left, missed, self.tolerance, is_fresh=self.fresh_error is not None)
+        worst = np.unravel_index(int(np.argmax(each)), each.shape)
+        if each.ndim and each[worst] > self.tolerance >= float(missed):
+            trusted += f" on the whole; [{', '.join(map(str, worst))}] is off by {each[worst]:.2g} of its own spread"
         return lambda entry: (
             f"; {contributors(self.distributions, self.basis, known[(slice(None), *entry)])}; {trusted}"
         )

@@ -57,13 +57,13 @@ def _as_declared(
         return result
     chance, quantile = (_tail(transcribed, point, one.functional, kind) for kind in (one.kind, one.quantile))
     # The quantile moves by this much with its level: the density's reciprocal, zero where many systems are equal.
-    by_level = float(quantile.by_numbers[0])
-    size = result.scale / by_level if by_level > 0 else 0.0
+    by_level = np.ravel(quantile.by_numbers[0])
+    sizes = np.divide(result.scale, by_level, out=np.zeros(by_level.shape), where=by_level > 0)
     return replace(
         result,
-        values=np.full(1, one.constant + one.factor * float(chance.values)),
+        values=one.constant + one.factor * np.ravel(chance.values),
         multipliers=-result.multipliers * by_level * one.level_by_bound,
-        scale=max(bound_size(limit), abs(one.factor) * size),
+        scale=max(bound_size(limit), abs(one.factor) * float(sizes.max())),
     )
 
 
@@ -95,15 +95,18 @@ def within_reach_of_errors(solution: Solution) -> Iterator[Expression]:
     """The limits that errors of expansions may decide: not those that are many times as far from their bounds."""
     errors, noise = solution.certificate.expansion.leave_one_out, variances_by_noise(solution.problem.expressions)
 
-    def missed(one: AbstractFunctional) -> float:
+    def missed(one: AbstractFunctional, *more: AbstractFunctional) -> float:
         by_noise = solution.moments[noise[one].text()].mean if one in noise else 0.0
-        return errors.get(one.text(), 0.0) * float(np.sqrt(np.max(solution.moments[one.text()].std ** 2 + by_noise)))
+        spread = float(np.sqrt(np.max(solution.moments[one.text()].std ** 2 + by_noise)))
+        # Others are variances that noise adds to a spread.
+        each = errors.get(one.text(), 0.0) * spread, *(missed(other) / (2 * spread) for other in more if spread)
+        return sum(each)
 
     for limit, result in zip(solution.problem.constraints, solution.constraints, strict=True):
         reach = 0.0
         for factor, atom in zip(limit.expression.factors, limit.expression.atoms, strict=True):
             if isinstance(atom, Statistic) and (atom.kind.speaks_of_one_system or isinstance(atom.kind, Std)):
-                reach += abs(float(factor)) * sum(map(missed, atom.functionals))
+                reach += abs(float(factor)) * missed(*atom.functionals)
             elif not isinstance(atom, Value):
                 reach = np.inf
         if not float(np.max(result.excess)) < -_FAR_INSIDE * reach:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,7 @@ from aleator.certification._systems import OF_THE_SHAPE, FreshSystems, fresh_sys
 from aleator.certification._tails import KnownStatistics, tail_objections
 from aleator.design import Statistic, expanded_functionals, variances_by_noise
 from aleator.ensemble import inputs_at, listed
+from aleator.nlp import HELD
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
@@ -61,8 +62,8 @@ _FOLLOW_THE_SPREAD = (Quantile, ConditionalValueAtRisk, Supremum, Infimum)
 def second_opinion(check: Check) -> SecondOpinion | None:
     """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
 
-    Where these disagree, or one system is missed by far, as in a rare event that none of the collocation points sees,
-    more systems are drawn, and a limit counts as broken if two standard errors show it.
+    Where these disagree, or are too few to tell, or one system is missed by far, as in a rare event that none of the
+    collocation points sees, more systems are drawn, and a limit counts as broken if two standard errors show it.
     """
     count, problem = len(check.systems.points), check.problem
     if not count or not check.functionals:
@@ -74,8 +75,8 @@ def second_opinion(check: Check) -> SecondOpinion | None:
 
     least, most = check.systems.least_and_most
     # Few systems tell nothing of third and fourth powers.
-    opinion, has_outlier = _opinion(grown(most if has_shape(problem.expressions) else least), _RARE)
-    if not opinion.broken and (has_outlier or not opinion.agrees):
+    opinion, is_unsure = _opinion(grown(most if has_shape(problem.expressions) else least), _RARE)
+    if not opinion.broken and (is_unsure or not opinion.agrees):
         opinion, _ = _opinion(grown(most), _SHOWN)
     if opinion.broken:
         return opinion
@@ -86,7 +87,7 @@ def second_opinion(check: Check) -> SecondOpinion | None:
 
 
 def _opinion(check: Check, chance: float) -> tuple[SecondOpinion, bool]:
-    """The opinion by the fresh systems of a check, and whether it rests on outliers.
+    """The opinion by the fresh systems of a check, and whether more of them may change it.
 
     `chance`: with which probability an expression that has not changed may seem to have.
     """
@@ -94,11 +95,12 @@ def _opinion(check: Check, chance: float) -> tuple[SecondOpinion, bool]:
     if without_value := _without_value(check):
         return SecondOpinion(count, {}, (without_value,), without_value), False
     # Limits on the worst case rely on no expansion.
-    fresh = {
-        one.text(): check.functionals[one].at(check.own(one))
+    varying = {
+        one: check.functionals[one].at(check.own(one))
         for one in expanded_functionals(check.problem.expressions)
         if not check.functionals[one].is_certain
     }
+    fresh = {one.text(): own for one, own in varying.items()}
     noise = variances_by_noise(check.problem.expressions)
     by_noise = {one.text(): check.functionals[own].mean[check.own(own)] for one, own in noise.items()}
     misses = {text: _miss(one, by_noise.get(text, 0.0)) for text, one in fresh.items()}
@@ -107,11 +109,12 @@ def _opinion(check: Check, chance: float) -> tuple[SecondOpinion, bool]:
         for text, miss in misses.items()
         if not miss <= 2 * check.problem.expansion.tolerance
     ]
-    shifts, broken = _judged(fresh, check, chance) if fresh else ([], "")
+    shifts, broken, is_unsure = _judged(fresh, check, chance) if fresh else ([], "", False)
     has_outlier = any(
-        not (np.abs(one.fresh - one.predicted) <= _OUTLIER * np.max(one.std)).all() for one in fresh.values()
+        not (np.abs(own.fresh - own.predicted) <= _OUTLIER * _at_least(own.std, one.is_path)).all()
+        for one, own in varying.items()
     )
-    return SecondOpinion(count, misses, (*missed, *shifts), broken), has_outlier
+    return SecondOpinion(count, misses, (*missed, *shifts), broken), is_unsure or has_outlier
 
 
 def _without_value(check: Check) -> str:
@@ -179,9 +182,9 @@ def _corrected(
     return base + 0 * shift, 0 * std
 
 
-def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[list[str], str]:
-    """The expressions that change beyond chance, a sentence each, and what the correction breaks, if anything: a limit,
-    by a twentieth of a spread, or the whole gain.
+def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[list[str], str, bool]:
+    """The expressions that change beyond chance, a sentence each; what the correction breaks, if anything: a limit, by
+    a twentieth of a spread, or the whole gain; and whether chance could hide such a change.
     """
     problem, replicates = check.problem, len(check.systems.points) + 2
     known, spreads = Known(), dict[Statistic, np.ndarray]()
@@ -194,47 +197,83 @@ def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[atom]
         known[atom] = np.concatenate([values, moved], axis=-1)
-    scope, sentences, broken = KnownStatistics(check, known), [], ""
+    scope, sentences, broken, is_unsure = KnownStatistics(check, known), [], "", False
     for which, expression in enumerate(problem.expressions):
-        is_statistic = any(isinstance(leaf, Statistic) for leaf in expression.leaves)
-        shift = _shift(np.asarray(expression.evaluate(scope)), replicates, chance) if is_statistic else None
-        if shift is None:
+        if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
             continue
-        by, error, scale, where = shift
-        corrected = f"{by:+.3g} ± {error:.2g}"
-        sentences.append(f"{expression} differs by {corrected} in fresh simulations")
-        if broken:
-            continue
+        shifts = _shifts(np.asarray(expression.evaluate(scope)), replicates, chance, expression.is_path)
+        # Each instant and entry is judged by its own spread, and told as a part of the largest.
+        worst, is_told = shifts.worst(shifts.scale.max())
+        by, sure, is_moved, said = shifts.by, shifts.sure, shifts.beyond(shifts.scale) > 1, ""
+        tolerated = _BREAKS * shifts.scale
         if which == 0:
-            if not abs(by) <= max(check.gained, _BREAKS * scale):
-                broken = f"the objective differs by {corrected}, more than was gained ({check.gained:.3g})"
-            continue
-        limit, own = problem.constraints[which - 1], float(check.at_instants(which - 1)[where])
-        beyond, other = excess_of(limit, np.array([own + by, own - by]))
-        if not beyond <= _BREAKS * scale:
-            broken = f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"
-        # As with limits on tails: one that does not bind where it seems to holds the answer off its optimum.
-        elif has_shape((expression,)) and not other <= _BREAKS * scale:
-            broken = f"'{limit.name}' binds in the expansion alone, which is wrong by {corrected}"
-    return sentences, broken
+            tolerated = np.maximum(check.gained, tolerated)
+            is_unsure |= bool(sure[0] > tolerated[0])
+            if is_moved[0] and not abs(by[0]) <= tolerated[0]:
+                said = f"the objective differs by {shifts.text(0)}, more than was gained ({check.gained:.3g})"
+        else:
+            limit, own = problem.constraints[which - 1], check.at_instants(which - 1)
+            tolerated += HELD * check.limits[which - 1].size
+            beyond, other, either = (
+                np.maximum(*(excess_of(limit, own + one) for one in pair)) - tolerated
+                for pair in ((by, by), (-by, -by), (sure, -sure))
+            )
+            is_unsure |= bool(np.any(either > 0))
+            most, held = (np.where(is_moved, one, -np.inf) for one in (beyond, other))
+            if not np.max(most) <= 0:
+                worst, is_told = int(np.argmax(most)), True
+                by_this = f"is broken by {beyond[worst] + tolerated[worst]:.3g} once the expansion is corrected by"
+                said = f"'{limit.name}' {by_this} {shifts.text(worst)}"
+            # As with limits on tails: one that does not bind where it seems to holds the answer off its optimum.
+            elif has_shape((expression,)) and not np.max(held) <= 0:
+                worst, is_told = int(np.argmax(held)), True
+                said = f"'{limit.name}' binds in the expansion alone, which is wrong by {shifts.text(worst)}"
+        if is_told:
+            sentences.append(f"{expression} differs by {shifts.text(worst)} in fresh simulations")
+        broken = broken or said
+    return sentences, broken, is_unsure
 
 
-def _shift(
-    values: Float[np.ndarray, "... moved"], replicates: int, chance: float
-) -> tuple[float, float, float, int] | None:
-    """The largest change of an expression by fresh simulations, its standard error, the change by one standard
-    deviation, and the entry; None if by chance or negligible.
+class _Shifts(NamedTuple):
+    """How fresh simulations change an expression, for each of its entries.
+
+    - `by`, `error`: the change and its standard error; `sure`: how large a change is beyond chance and rounding;
+    - `scale`: its change by one standard deviation.
     """
-    rows = values.reshape(-1, values.shape[-1])
-    rest = rows[:, 2:replicates]
-    by, count = rows[:, 1] - rows[:, 0], replicates - 2
-    error = np.sqrt((count - 1) * np.var(rest, axis=1))
-    scale = float(np.max(np.sum(np.abs(rows[:, replicates:] - rows[:, :1]), axis=1)))
-    reach = _quantile(count - 1, min(chance / 2 / len(rows), 0.5))
-    floor = max(_NONE * scale, _ROUNDING * float(np.max(np.abs(rows))))
-    ratio = np.abs(by) / np.maximum(np.maximum(reach * error, floor), np.finfo(float).tiny)
-    i = int(np.argmax(ratio))
-    return (float(by[i]), float(error[i]), scale, i) if not ratio[i] <= 1 else None
+
+    by: Float[np.ndarray, " entries"]
+    error: Float[np.ndarray, " entries"]
+    sure: Float[np.ndarray, " entries"]
+    scale: Float[np.ndarray, " entries"]
+
+    def beyond(self, scale: Any) -> Float[np.ndarray, " entries"]:
+        """By how many times each change exceeds chance and what is negligible; infinite for what is not finite."""
+        least = np.maximum(np.maximum(self.sure, _NONE * scale), np.finfo(float).tiny)
+        return np.nan_to_num(np.abs(self.by) / least, nan=np.inf)
+
+    def worst(self, scale: Any) -> tuple[int, bool]:
+        """The entry that changes most, and whether that is more than chance and what is negligible."""
+        ratio = self.beyond(scale)
+        return int(np.argmax(ratio)), bool(ratio.max() > 1)
+
+    def text(self, entry: int) -> str:
+        """The change of an entry."""
+        return f"{self.by[entry]:+.3g} ± {self.error[entry]:.2g}"
+
+
+def _shifts(values: Float[np.ndarray, "... moved"], replicates: int, chance: float, is_path: bool) -> _Shifts:
+    """How an expression changes by fresh simulations, from its values in all replicates and with each spread added."""
+    by, count = values[..., 1] - values[..., 0], replicates - 2
+    error = np.sqrt((count - 1) * np.var(values[..., 2:replicates], axis=-1))
+    reach = _quantile(count - 1, min(chance / 2 / by.size, 0.5))
+    sure = np.maximum(reach * error, _ROUNDING * float(np.max(np.abs(values))))
+    scale = np.sum(np.abs(values[..., replicates:] - values[..., :1]), axis=-1)
+    return _Shifts(*map(np.ravel, (by, error, sure, _at_least(scale, is_path))))
+
+
+def _at_least(spreads: Float[np.ndarray, "*shape"], is_path: bool) -> Float[np.ndarray, "*shape"]:
+    """Spreads, those over time not less than what is negligible beside the largest at any instant."""
+    return np.maximum(spreads, NEGLIGIBLE_SPREAD * np.max(spreads, axis=0)) if is_path else spreads
 
 
 def _quantile(freedom: int, chance: float) -> float:

@@ -51,9 +51,9 @@ class _Seen(NamedTuple):
 
 
 class _Tail(NamedTuple):
-    """A statistic of one functional, or of an entry of a path.
+    """A statistic of one functional, or of an entry of it.
 
-    - `at`: an instant of the finer grid, none without time;
+    - `at`: its place among the functional's values on the finer grid, the instant first; empty for a number;
     - `value`: the statistic; `chance`: the probability of its tail, the smaller one; `is_lower`: which tail that is;
     - `reach`: how far it lies from the mean, a tenth of the spread at least.
     """
@@ -129,8 +129,8 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
             kind, one = atom.kind, atom.functionals[0]
             if not isinstance(kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
                 continue
-            entry = (int(np.argmin(gaps)),) if one.is_path and gaps is not None else ()
-            functional, at = check.functionals[one], tuple(i * check.factor for i in entry)
+            functional, entry = check.functionals[one], _closest(check, which, expression, atom, gaps)
+            at = (entry[0] * check.factor, *entry[1:]) if one.is_path else entry
             value, mean, std = (
                 float(part) for part in (check.statistics[atom][entry], functional.mean[at], functional.std[at])
             )
@@ -150,6 +150,21 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
             name = "" if limit is None else f"'{limit.name}': "
             hangs = matters(by) if which else not _effect(check, expression, atom, by) <= check.gained
             yield f"{name}{atom.text()} is {value:.4g} by the expansion, and {seen}{unsure}", hangs
+
+
+def _closest(
+    check: Check, which: int, expression: Expression, atom: Statistic, gaps: np.ndarray | None
+) -> tuple[int, ...]:
+    """The entry of a statistic, an instant first, for which a limit is closest to its bound; none of a number."""
+    own = check.statistics[atom].shape
+    if gaps is None or not own:
+        return ()
+    whole = np.shape(check.values[which][:: check.factor] if expression.is_path else check.values[which])
+    # Inside an integral over time all instants count.
+    is_inside = len(own) > len(whole)
+    places = np.arange(int(np.prod(own))).reshape(own)
+    place = 0 if is_inside else np.broadcast_to(places, whole).flat[int(np.argmin(gaps))]
+    return tuple(int(i) for i in np.unravel_index(place, own))
 
 
 def _matters(check: Check, expression: Expression, atom: Statistic, gaps: np.ndarray | None, by: float) -> bool:

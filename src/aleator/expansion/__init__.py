@@ -17,6 +17,7 @@ from aleator.expansion._collocation import fresh_error as fresh_error
 from aleator.expansion._collocation import jackknife as jackknife
 from aleator.expansion._collocation import leave_one_out as leave_one_out
 from aleator.expansion._collocation import leave_one_out_history as leave_one_out_history
+from aleator.expansion._collocation import leave_one_out_of_entries as leave_one_out_of_entries
 from aleator.expansion._collocation import left_out as left_out
 from aleator.expansion._collocation import mean_squares as mean_squares
 from aleator.expansion._collocation import relative_error as relative_error

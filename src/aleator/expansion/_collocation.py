@@ -20,6 +20,9 @@ LEAST_REMAINDER = 1e-8
 ROUNDING = 1e-12
 """Outputs that vary by less than this part of their size are constant up to rounding."""
 
+# A spread of less than this part of others beside it may be the error of an integrator.
+_INTEGRATED = 1e-6
+
 UNRESOLVED = 0.05
 """Above this relative leave-one-out error an output is not resolved, unless its `Expansion` says otherwise."""
 
@@ -64,6 +67,16 @@ def leave_one_out(
     points as terms, which only interpolate, and for a projection by a sparse grid, whose error is unknown.
     """
     return relative_error(*(part.sum() for part in mean_squares(collocation, samples, coefficients)))
+
+
+@quietly
+def leave_one_out_of_entries(
+    collocation: Collocation, samples: Float[Array, "points *shape"], coefficients: Float[Array, "terms *shape"]
+) -> Float[Array, "*shape"]:
+    """`leave_one_out` of each entry by its own spread; zero where that is the error of an integrator beside others."""
+    library, error, variance, square = in_library(*mean_squares(collocation, samples, coefficients))
+    errors = relative_error(error, variance, library.maximum(square, variance.max() * (_INTEGRATED / ROUNDING) ** 2))
+    return jax_array(errors.reshape(samples.shape[1:]))
 
 
 @quietly

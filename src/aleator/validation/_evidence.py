@@ -151,14 +151,14 @@ class Compared(Printed):
 class Trajectories(Printed):
     """The expression of one path constraint on some sampled systems.
 
-    - `values`: shape (kept, instants);
+    - `values`: shape (kept, instants, *entries);
     - `violating`: shape (kept,), whether the system breaks any constraint of this name.
     """
 
     name: str
     lower: float
     upper: float
-    values: Float[np.ndarray, "kept instants"]
+    values: Float[np.ndarray, "kept instants ..."]
     violating: np.ndarray
 
     def __str__(self) -> str:

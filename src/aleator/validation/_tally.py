@@ -22,7 +22,9 @@ from jaxtyping import Float
 from aleator._core.arrays import jax_array
 from aleator.design import (
     AbstractFunctional,
+    Constraint,
     Estimated,
+    Expression,
     Problem,
     Statistic,
     estimated,
@@ -85,13 +87,12 @@ def evidence_of(solution: Solution, systems: Systems, whole: Batch, seed: int, s
     )
     if not systems.germs:
         return replace(evidence, disagreements=tuple(_from_finer(evidence)))
-    evidence = replace(
-        evidence, compared=tuple(compared(solution, problem, _estimates(problem, evidence), group_count(samples) - 1))
-    )
+    each = tuple(compared(evidence, problem, _estimates(problem, evidence)))
+    evidence = replace(evidence, compared=tuple(one for limit, one in each if not is_counted(limit)))
     # A deterministic design has no expansion that they could contradict.
     if not solution.problem.placements.germs:
         return evidence
-    return replace(evidence, disagreements=(*_moments(evidence), *_statistics(evidence), *_limits(evidence)))
+    return replace(evidence, disagreements=(*_moments(evidence), *_statistics(evidence), *_limits(evidence, each)))
 
 
 def _from_finer(evidence: Evidence) -> Iterator[Disagreement]:
@@ -133,7 +134,9 @@ def _checked(solution: Solution, statistic: Statistic, values: list[Float[np.nda
 
 
 def _estimates(problem: Problem, evidence: Evidence) -> dict[str, Estimated]:
-    """The statistics that samples estimate with a standard error, by their texts; of paths the first two moments."""
+    """The statistics that samples estimate with a standard error, by their texts; of paths and arrays the first two
+    moments.
+    """
     known = {
         text: Estimated(np.asarray(one.estimate), np.asarray(one.standard_error))
         for text, one in evidence.statistics.items()
@@ -143,13 +146,13 @@ def _estimates(problem: Problem, evidence: Evidence) -> dict[str, Estimated]:
         # The second functional of a noisy statistic is what noise adds to the variance.
         noise = [part.mean for part in others] if getattr(atom.kind, "noisy", False) else []
         variance = np.asarray(one.std**2 + sum(noise))
-        of_path: dict[type, Estimated] = {
+        moments: dict[type, Estimated] = {
             Mean: Estimated(one.mean, one.standard_error),
             Std: Estimated(np.sqrt(variance), one.std_error),
             Variance: Estimated(variance, np.asarray(2 * one.std * one.std_error)),
         }
-        if atom.is_path and type(atom.kind) in of_path:
-            known[atom.text()] = of_path[type(atom.kind)]
+        if atom.text() not in known and type(atom.kind) in moments:
+            known[atom.text()] = moments[type(atom.kind)]
     return known
 
 
@@ -207,9 +210,9 @@ def _statistics(evidence: Evidence) -> Iterator[Disagreement]:
             yield Disagreement(text, expected, one.estimate, one.standard_error)
 
 
-def _limits(evidence: Evidence) -> Iterator[Disagreement]:
-    """Limits on statistics that the samples break, and limits for all systems that some samples break."""
-    for one in evidence.compared:
+def _limits(evidence: Evidence, each: tuple[tuple[Constraint, Compared], ...]) -> Iterator[Disagreement]:
+    """Limits whose statistics the samples break, and limits for all systems that some samples break."""
+    for _, one in each:
         if one.meets is False:
             yield Disagreement(one.text, one.bound, one.value, one.standard_error, one.time, "its bound")
     for limit in evidence.solution.problem.constraints:
@@ -283,26 +286,53 @@ def is_rare(count: int, samples: int, probability: float) -> bool:
     return not inside and abs(share.estimate - probability) > _RELATIVE * np.sqrt(probability * (1 - probability))
 
 
-def compared(solution: Solution, problem: Problem, known: Mapping[str, Estimated], freedom: int) -> Iterator[Compared]:
-    """The limits on statistics of all systems, without those that need statistics other than the `known`, by text."""
+def compared(
+    evidence: Evidence, problem: Problem, known: Mapping[str, Estimated]
+) -> Iterator[tuple[Constraint, Compared]]:
+    """The limits on statistics, without those that need statistics other than the `known`, by text.
+
+    Where systems are counted against a limit, its statistics are compared as moments are: up to a hundredth of one
+    system's contribution and the grid's error.
+    """
+    solution, freedom = evidence.solution, group_count(evidence.samples) - 1
     for limit, solved in zip(problem.constraints, solution.constraints, strict=True):
-        if is_counted(limit) or not any(isinstance(leaf, Statistic) for leaf in limit.expression.leaves):
+        if not any(isinstance(leaf, Statistic) for leaf in limit.expression.leaves):
             continue
         if (sampled := estimated(problem, limit.expression, known, solution.vector)) is None:
             continue
         value, error = np.ravel(sampled.value), np.ravel(sampled.error)
         lower, upper = float(limit.lower), float(limit.upper)
         beyond = np.maximum(value - upper, lower - value)
-        sure = reach(freedom, value.size)
-        i = int(np.argmax(beyond - sure * error))
-        yield Compared(
-            name=limit.name,
-            text=str(limit),
-            value=float(value[i]),
-            standard_error=float(error[i]),
-            time=_instant(solution.times_of(limit) if limit.is_path else None, i, value.size),
-            bound=upper if value[i] - upper >= lower - value[i] else lower,
-            beyond=float(beyond[i]),
-            tolerance=HELD * solved.scale,
-            reach=sure,
+        sure, tolerance = reach(freedom, value.size), np.full(value.size, HELD * solved.scale)
+        if is_counted(limit):
+            tolerance += _RELATIVE * np.sqrt(evidence.samples) * error + _of_grid(solution, limit.expression)
+        i = int(np.argmax(beyond - sure * error - tolerance))
+        yield (
+            limit,
+            Compared(
+                name=limit.name,
+                text=str(limit),
+                value=float(value[i]),
+                standard_error=float(error[i]),
+                time=_instant(solution.times_of(limit) if limit.is_path else None, i, value.size),
+                bound=upper if value[i] - upper >= lower - value[i] else lower,
+                beyond=float(beyond[i]),
+                tolerance=float(tolerance[i]),
+                reach=sure,
+            ),
         )
+
+
+def _of_grid(solution: Solution, expression: Expression) -> float:
+    """The known error of an expression on the solution's grid, zero where none is."""
+    error = solution.certificate.grid_error
+    known = {} if error is None else error.functionals
+    each = (
+        abs(float(factor)) * known[one.text()].error
+        for factor, atom in zip(expression.factors, expression.atoms, strict=True)
+        for part in atom.parts
+        if isinstance(part, Statistic)
+        for one in part.functionals
+        if one.text() in known
+    )
+    return float(np.nansum(list(each)))
