@@ -5,9 +5,11 @@ from dataclasses import replace
 import nlp_problems as problems
 import numpy as np
 import pytest
+import scipy.optimize
 from nlp_problems import evaluation, program
 
 from aleator.nlp import FilterSQP, Slsqp, Status
+from aleator.nlp._matrices import nonnegative_fit
 
 
 def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
@@ -102,3 +104,24 @@ def test_the_kink_of_a_limit_is_an_optimum_if_its_sides_together_hold_it(make, c
     assert outcome.status is Status.SOLVED
     np.testing.assert_allclose(outcome.point, 1.0, atol=1e-6)
     np.testing.assert_allclose(outcome.multipliers, price, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["any", "equalities", "dependent", "badly scaled", "exact"])
+def test_nonnegative_fits_are_as_close_as_those_of_scipy(kind):
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        count, size = rng.integers(1, 15), rng.integers(1, 10)
+        rows, target = rng.normal(size=(count, size)), rng.normal(size=size)
+        match kind:
+            case "equalities":  # once with each sign
+                rows = np.concatenate([rows, -rows])
+            case "dependent":
+                rows = np.concatenate([rows, 2 * rows, np.eye(size), np.zeros((1, size))])
+            case "badly scaled":
+                rows *= 10.0 ** rng.uniform(-6, 2, size=(count, 1))
+            case "exact":
+                target = rng.uniform(size=count) @ rows
+        weights, peers = nonnegative_fit(rows, target), scipy.optimize.nnls(rows.T, target)[0]
+        missed, least = (np.linalg.norm(one @ rows - target) for one in (weights, peers))
+        assert (weights >= 0).all()
+        assert missed <= least + 1e-9 * np.linalg.norm(target)

@@ -72,14 +72,42 @@ def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
     For sparse rows the search is cut short.
     """
     if isinstance(rows, np.ndarray):
-        try:
-            return scipy.optimize.nnls(rows.T, target)[0]
-        except RuntimeError:
-            # SciPy raises this when its iterations are used up.
-            return np.zeros(len(rows))
+        return _dense_nonnegative_fit(rows.T, target)
     steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(rows.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
     short = {"method": "trf", "max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
     return scipy.optimize.lsq_linear(rows.T.tocsr(), target, (0.0, np.inf), **short).x
+
+
+def _dense_nonnegative_fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """By active sets (Lawson and Hanson, 1974, Solving least squares problems, chapter 23).
+
+    SciPy's takes longer to import than most designs take to find.
+    """
+    sizes, count = np.linalg.norm(columns, axis=0), columns.shape[1]
+    columns = columns / np.where(sizes > 0, sizes, 1.0)
+    least = 10 * max(columns.shape) * np.finfo(float).eps * float(np.linalg.norm(target))
+    weights, free, barred = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
+    for _ in range(3 * count):
+        slope = np.where(free | barred, -np.inf, columns.T @ (target - columns @ weights))
+        if not slope.max(initial=-np.inf) > least:
+            return weights / np.where(sizes > 0, sizes, 1.0)
+        entering = int(np.argmax(slope))
+        free[entering] = True
+        while True:
+            fit = np.zeros(count)
+            fit[free] = np.linalg.lstsq(columns[:, free], target, rcond=None)[0]
+            negative = free & (fit <= 0)
+            if not negative.any():
+                weights, barred = fit, np.zeros(count, bool)
+                break
+            if negative[entering] and weights[entering] == 0:  # by rounding: it would enter again and again
+                free[entering], barred[entering] = False, True
+                break
+            ratios = weights[negative] / (weights[negative] - fit[negative])
+            weights = weights + ratios.min() * (fit - weights)
+            weights[np.flatnonzero(negative)[ratios == ratios.min()]] = 0.0
+            free &= weights > 0
+    return np.zeros(count)
 
 
 def projected(rows: Matrix, units: np.ndarray) -> np.ndarray:
