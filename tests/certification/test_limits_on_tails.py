@@ -124,6 +124,22 @@ def test_limits_on_tails_hold_for_every_entry_of_an_array(limit, exact):
     assert solution.constraints[0].active.ravel().tolist() == [False, True]
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(("threshold", "is_ok"), [(0.5, True), (0.14, False)])
+def test_a_probability_that_mean_and_spread_bound_needs_no_resolved_tail(threshold, is_ok):
+    """By Cantelli's inequality `P[g > 0.5]` is below 2e-3 for a mean of 0.1 and a spread of 0.02."""
+    model = algebraic(lambda a, x, y: {"g": y * jnp.sqrt((a * (x - 1)) ** 2 + 0.01)})(
+        al.Decision(1.0, 0.3, 2.0), al.Gamma(shape=25.0, scale=1 / 25), al.Weibull(1.0, 6.0)
+    )
+    limit = al.output("g").probability(above=threshold) <= 0.05
+    problem = al.Problem(model, minimize=al.value("a"), subject_to=[limit], expansion=al.Expansion(order=4))
+    solution = al.solve(problem, throw=False)
+    assert solution.certificate.expansion.worst > 0.05
+    assert solution.ok == is_ok
+    assert not is_ok or float(solution.decisions["a"]) == pytest.approx(0.3)
+
+
 # --- Limits on skewness and kurtosis ----------------------------------------------------------------------------------
 
 

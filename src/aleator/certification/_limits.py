@@ -103,6 +103,8 @@ def within_reach_of_errors(solution: Solution) -> Iterator[Expression]:
         return sum(each)
 
     for limit, result in zip(solution.problem.constraints, solution.constraints, strict=True):
+        if _is_rare_by_moments(limit, solution):
+            continue
         reach = 0.0
         for factor, atom in zip(limit.expression.factors, limit.expression.atoms, strict=True):
             if isinstance(atom, Statistic) and (atom.kind.speaks_of_one_system or isinstance(atom.kind, Std)):
@@ -111,3 +113,17 @@ def within_reach_of_errors(solution: Solution) -> Iterator[Expression]:
                 reach = np.inf
         if not float(np.max(result.excess)) < -_FAR_INSIDE * reach:
             yield limit.expression
+
+
+def _is_rare_by_moments(limit: Constraint, solution: Solution) -> bool:
+    """Whether an event is rarer than its limit for every distribution of this mean and a spread that includes what the
+    expansion misses (Cantelli's inequality).
+    """
+    one = limited_probability(limit)
+    if one is None or one.is_least:
+        return False
+    text = one.functional.text()
+    moments, error = solution.moments[text], solution.certificate.expansion.leave_one_out.get(text, 0.0)
+    gap = (moments.mean - float(one.threshold)) * (1 if one.is_below else -1)
+    variance = (moments.std * (1 + error)) ** 2
+    return bool(np.all((gap > 0) & (variance <= one.chance * (variance + gap**2))))
