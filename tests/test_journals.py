@@ -81,16 +81,16 @@ def test_other_numbers_limits_solvers_and_starts_are_other_results(tmp_path: Pat
 
 def test_code_that_changed_makes_results_stale_and_says_so(tmp_path: Path, solved: list, monkeypatch):
     with al.journal(tmp_path):
-        al.solve(bar_problem())
+        al.validate(al.solve(bar_problem()), 2000)
     monkeypatch.setattr(Bar, "outputs", lambda self: {"stress": 2 * self.load / self.width, "mass": self.width})
     with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="the model's code has changed"):
         found = al.solve(bar_problem())
     assert found.objective == pytest.approx(4 * NEEDED, rel=1e-6)
-    assert states(tmp_path) == ["stale", "done"]
+    assert states(tmp_path) == ["stale", "stale", "done"]  # with the evidence on it
     monkeypatch.undo()
     with al.journal(tmp_path):
         assert al.solve(bar_problem()).objective == pytest.approx(2 * NEEDED, rel=1e-6)
-    assert states(tmp_path) == ["done", "done"]
+    assert states(tmp_path) == ["done", "stale", "done"]
 
 
 def test_evidence_is_kept_with_its_seed_and_belongs_to_its_solution(tmp_path: Path):

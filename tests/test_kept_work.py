@@ -7,6 +7,7 @@ import functools
 import itertools
 import signal
 import threading
+import types
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -127,6 +128,8 @@ SPLINES = [scipy.interpolate.CubicSpline([0.0, 1.0, 2.0], [0.0, end, 2.0]) for e
         [Table(np.zeros(2)), Table(np.ones(2))],
         [OfSlots(1.0), OfSlots(2.0)],
         [collections.defaultdict(int), collections.defaultdict(list)],
+        [np.frompyfunc(lambda x: x, 1, 1), np.frompyfunc(lambda x: 2 * x, 1, 1)],
+        [types.MethodType(lambda _, x: x, 3), types.MethodType(lambda _, x: 2 * x, 3)],
     ],
 )
 def test_objects_that_differ_in_anything_are_told_apart(pair):

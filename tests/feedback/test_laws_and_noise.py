@@ -1,5 +1,6 @@
 """Regulators, computed torque and white noise, against closed forms; and what is refused."""
 
+import warnings
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -232,3 +233,38 @@ def test_expansions_beside_noise_are_judged_by_the_whole_spread():
 
     assert solution.decisions["rate.mean"] == pytest.approx(scipy.optimize.brentq(excess, 2, 20), rel=1e-4)
     assert solution.certificate.expansion.leave_one_out["x(t_f)"] < 1e-3
+
+
+@pytest.mark.slow
+def test_what_noise_adds_is_compared_with_samples_and_no_system_is_counted_without_it():
+    """Once settled the variance of a speed is `S / (2 c)` for every stiffness: its spread is rounding."""
+
+    class Oscillator(al.System):
+        states = ("x", "v")
+        k: al.Number
+
+        def rhs(self, t, z, w):
+            return z.v, -self.k * z.x - 0.6 * z.v + w
+
+        def outputs(self, t, z):
+            return {"x": z.x, "v": z.v}
+
+    slow, place = al.terminal("v"), al.terminal("x")
+    problem = al.Problem(
+        Oscillator(al.Uniform(al.Decision(4.0, 1.0, 20.0), half_width=0.5)),
+        grid=al.Grid(30.0, 600),
+        inputs={"w": al.processes.WhiteNoise(0.3)},
+        minimize=al.value("k.mean"),
+        subject_to=[slow.std <= 0.6, place.at_most(0.4, sigmas=2).named("place")],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solution = al.solve(problem)
+        evidence = al.validate(solution, 2000)
+    assert float(solution.statistics["σ[v(t_f)]"]) == pytest.approx(0.5, rel=1e-6)
+    assert evidence.agrees
+    assert not evidence.broken
+    with pytest.raises(al.ProblemError, match="beside white noise"):
+        al.calibrate(problem, "place", target=0.05)
+    with pytest.raises(al.ProblemError, match="place"):
+        al.rare_violation(solution, "place")

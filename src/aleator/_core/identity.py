@@ -27,6 +27,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+import scipy
 
 from aleator._core.equations import TracedFunction, array_digest
 from aleator._core.leaves import Module
@@ -177,6 +178,8 @@ class _Texts:
             yield from self({name: value for name, value in vars(it).items() if name != "__objclass__"})
         elif isinstance(it, type | types.FunctionType | types.BuiltinFunctionType | np.ufunc):
             yield from self._code(it, declared)
+        elif isinstance(it, types.MethodType):
+            yield from self((it.__func__, it.__self__), declared=declared)
         elif isinstance(it, frozenset | set):
             yield f"{type(it).__name__} {sorted(' '.join(self(one, declared=declared)) for one in it)}"
         elif isinstance(it, types.ModuleType):
@@ -219,7 +222,11 @@ class _Texts:
     def _code(self, it: Any, declared: bool) -> Iterator[str]:
         """A class or function: by its name if its code is known otherwise, else by all of it."""
         yield f"{_name_of(it)}("
-        if declared or isinstance(it, np.ufunc) or it in self._known:
+        if isinstance(it, np.ufunc):
+            if getattr(np, it.__name__, None) is not it and getattr(scipy.special, it.__name__, None) is not it:
+                raise DoubtError(f"{_name_of(it)} may call anything")  # of `np.frompyfunc`, or of another library
+            return
+        if declared or it in self._known:
             return
         if is_library(it.__module__):
             if isinstance(it, types.FunctionType) and "<locals>" in it.__qualname__:

@@ -310,7 +310,8 @@ def _expanded(
             largest = float(np.max(sizes[rows], initial=0.0)) / unit
             in_limits[functional] = max(in_limits[functional], largest)
     atoms = (atom for atom in statistics_in(problem.expressions) if not isinstance(atom.kind, Mean))
-    spread = [one for atom in atoms for one in atom.functionals]
+    # Of what white noise adds to a variance the mean stands there.
+    spread = [one for atom in atoms for one in atom.functionals[: 1 if getattr(atom.kind, "noisy", False) else None]]
     grid, matrix = grid_at(problem, decisions), transcribed.basis.matrix(systems.points)
     checked = {
         one: Checked(

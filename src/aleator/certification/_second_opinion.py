@@ -103,6 +103,11 @@ def _opinion(check: Check, chance: float) -> tuple[SecondOpinion, bool]:
     fresh = {one.text(): own for one, own in varying.items()}
     noise = variances_by_noise(check.problem.expressions)
     by_noise = {one.text(): check.functionals[own].mean[check.own(own)] for one, own in noise.items()}
+    # What misses such a variance is a part of the whole.
+    by_noise |= {
+        own.text(): (check.functionals[one].std[check.own(one)] ** 2 + by_noise[one.text()]) ** 2
+        for one, own in noise.items()
+    }
     misses = {text: _miss(one, by_noise.get(text, 0.0)) for text, one in fresh.items()}
     missed = [
         f"the expansion predicts fresh simulations of {text} with an error of {miss:.2g} of their standard deviation"

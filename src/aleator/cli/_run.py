@@ -211,7 +211,7 @@ class _Run:
                     record.check_owns(self._folder)
                 with journal(self._folder, afresh=afresh) as results:
                     if staleness(self._folder):  # so that no design of an earlier form goes by the name of this run's
-                        results.append(*(replace(entry, name="") for entry in results.entries if entry.name))
+                        results.outdate()
                     if record is None:
                         (self._folder / RECORD).unlink(missing_ok=True)
                     else:

@@ -53,7 +53,7 @@ def variances_by_noise(expressions: tuple[Expression, ...]) -> dict[AbstractFunc
 
 def refuse_infinite(problem: AbstractProblem) -> None:
     """Raise `ProblemError` for the spread of an output that contains white noise itself."""
-    if not any(isinstance(one.system, Noisy) for one in problem.simulation.phases.values()):
+    if not problem.has_noise:
         return
     start, moved = jax_array(problem.placements.vector("initial")), dict[str, dict[str, None]]()
     for phase, one in realise(at_means(problem.simulation), jnp.zeros(0), start).phases.items():

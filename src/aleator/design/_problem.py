@@ -38,7 +38,7 @@ from aleator.dynamics import (
     simulation_of,
 )
 from aleator.expansion import Expansion, MultiElement
-from aleator.feedback import Feedback, Noisy, closed_loop, noisy, surrounded
+from aleator.feedback import Feedback, closed_loop, noisy, surrounded
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import (
@@ -116,7 +116,7 @@ class Problem(AbstractProblem):
             own = ((name, one) for name, phase in system.phases.items() for one in _flatten(phase.subject_to))
             limits += [limit_in_phases(one, names, name) for name, one in own]
         self.constraints = _told_apart(tuple(limits))
-        if any(isinstance(one.system, Noisy) for one in simulation.phases.values()):
+        if self.has_noise:
             self.objective, self.constraints = with_noise((self.objective, self.constraints))
         self.expansion = Expansion() if expansion is None else expansion
         self.physics = Digest("", False)

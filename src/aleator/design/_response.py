@@ -34,6 +34,7 @@ from aleator.dynamics import (
     needed,
 )
 from aleator.expansion import Expansion, MultiElement
+from aleator.feedback import Noisy
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Placements, at_means, named_numbers, placements, realise
@@ -85,6 +86,11 @@ class AbstractProblem(Module, Printed):
     def is_integrated(self) -> bool:
         """Whether its system has states, which are integrated over time."""
         return self.system.is_integrated
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether white noise moves its states, whose covariance each realisation carries."""
+        return any(isinstance(one.system, Noisy) for one in self.simulation.phases.values())
 
     @property
     def placements(self) -> Placements:

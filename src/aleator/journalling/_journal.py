@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from aleator._core.border import Progress, meant
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.identity import DoubtError
+from aleator._core.identity import DoubtError, lasting_digest
 from aleator._core.journalled import AbstractJournal, NotKeptError, Place, called, journalled, journalling
 from aleator._core.parallel import heeding
 from aleator.journalling._results import (
@@ -332,9 +332,21 @@ class Journal(AbstractJournal, Mapping[str, Any]):
             changed = [name for name, digest in parts.items() if entry.parts.get(name) != digest]
             if entry.file and entry.what == title and changed and set(changed) <= set(_UNNOTICED):
                 causes = " and ".join(dict.fromkeys(_UNNOTICED[name] for name in changed))
-                if entry.state != STALE:
-                    self.append(replace(entry, state=STALE, why=f"{causes} changed"))
+                self._outdate(entry, f"{causes} changed")
                 self.warn(f"what an earlier run found is not used, because {causes} has changed since.")
+
+    def outdate(self) -> None:
+        """Mark all results as stale, without their names: a study that changed takes up those that it still has."""
+        self.append(*(replace(one, name="", state=STALE, why="the study changed") for one in self.entries if one.file))
+
+    def _outdate(self, entry: Entry, why: str) -> None:
+        """Mark a result as stale, and what follows from it."""
+        if entry.state != STALE:
+            self.append(replace(entry, state=STALE, why=why))
+            digest = lasting_digest(entry.key)
+            for other in self.entries:
+                if other.file and digest in other.parts.values():
+                    self._outdate(other, "it follows from a stale result")
 
 
 def _state_of(result: Any) -> str:

@@ -171,7 +171,7 @@ def _counted_names(problem: Problem, names: str | Sequence[str]) -> tuple[str, .
         raise refusal("calibrate: names", "a constraint's name, or several in a tuple", names)
     for name in every:
         constraints = problem.named(name)
-        reasons = [reason_uncounted(one) for one in constraints]
+        reasons = [reason_uncounted(problem, one) for one in constraints]
         if all(reasons):
             raise ProblemError(
                 f"calibrate: no single system is counted against '{name}' ({constraints[0]}): it is {reasons[0]}."

@@ -235,7 +235,11 @@ class AbstractTranscribed(abc.ABC):
             tangents = (None if one is None else (one[parameters].T * scales).T for one in self.at(point).tangents)
             parts = dict(zip(functionals, zip(self.at(point).samples, tangents, strict=True), strict=True))
             by_noise = {one: parts[variance] for one, variance in noise.items()}
-            return {one.text(): resolved(one, self.collocation, *parts[one], by_noise.get(one)) for one in parts}
+            noised = {variance: parts[one][0] for one, variance in noise.items()}
+            return {
+                one.text(): resolved(one, self.collocation, *parts[one], by_noise.get(one), noised.get(one))
+                for one in parts
+            }
 
         return Remembered(at)
 

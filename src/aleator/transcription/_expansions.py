@@ -287,15 +287,20 @@ def resolved(
     samples: Samples,
     tangents: Tangents | None,
     noise: tuple[Samples, Tangents | None] | None = None,
+    noised: Samples | None = None,
 ) -> Resolved:
     """The moments and the quality of a functional's expansion from its samples, by NumPy.
 
-    - `noise`: the same of the variance that white noise adds. Errors are then relative to the whole spread.
+    - `noise`: the same of the variance that white noise adds. Errors are then relative to the whole spread;
+    - `noised`: of such a variance, the output to whose own it is added, to which its errors are relative likewise.
     """
     known = np.asarray(samples)
     terms = collocation.coefficients(known)
     error, variance, square = mean_squares(collocation, known, terms)
     by_noise = np.zeros(known.shape[1:]) if noise is None else _mean(collocation, noise[0])
+    if noised is not None:
+        own = mean_squares(collocation, noised, collocation.coefficients(np.asarray(noised)))[1]
+        by_noise = (_mean(collocation, known) + own.reshape(by_noise.shape)) ** 2
     squares = error, variance + by_noise.reshape(-1), square
     spread, size = (seen(part.reshape(1, *samples.shape[1:]), functional.is_path).sum() for part in squares[1:])
     moved = 0.0

@@ -220,8 +220,8 @@ class Evidence(Drawn):
         They do not apply to a single system, like a bound on a `std`, or no single system meets them exactly, like an
         equality.
         """
-        constraints = uncertain(self.solution.problem).constraints
-        return {str(one): reason for one in constraints if (reason := reason_uncounted(one))}
+        problem = uncertain(self.solution.problem)
+        return {str(one): why for one in problem.constraints if (why := reason_uncounted(problem, one))}
 
     @property
     def agrees(self) -> bool:

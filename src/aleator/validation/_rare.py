@@ -148,10 +148,11 @@ def rare_violation(
     systems, batch = Systems(solution, "rare_violation"), min(batch, samples)
     if not systems.germs:
         raise ProblemError("rare_violation: nothing in this problem is uncertain, so there is nothing to sample.")
-    counted = tuple(dict.fromkeys(one.name for one in systems.problem.constraints if is_counted(one)))
+    limits = [(i, one) for i, one in enumerate(systems.problem.constraints) if is_counted(systems.problem, one)]
+    counted = tuple(dict.fromkeys(one.name for _, one in limits))
     names = counted if names is None else (names,) if isinstance(names, str) else tuple(names)
     check_counted("rare_violation", names, counted)
-    rows = [i for i, one in enumerate(systems.problem.constraints) if one.name in names and is_counted(one)]
+    rows = [i for i, one in limits if one.name in names]
 
     def beyond(normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
         def simulated(part: Part) -> Float[np.ndarray, "limits some"]:

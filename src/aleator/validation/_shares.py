@@ -117,18 +117,21 @@ def _gamma_quantile(mean: float, variance: float, level: float) -> float:
     return float(variance / mean * scipy.special.gammaincinv(mean**2 / variance, level))
 
 
-def is_counted(constraint: Constraint) -> bool:
+_NOISE = "a limit beside white noise, of which no sampled system has any (al.processes.RandomProcess is counted)"
+
+
+def is_counted(problem: Problem, constraint: Constraint) -> bool:
     """Whether systems can be counted against a constraint: it applies to a single system, and is not an equality."""
-    return not reason_uncounted(constraint)
+    return not reason_uncounted(problem, constraint)
 
 
-def reason_uncounted(constraint: Constraint) -> str:
+def reason_uncounted(problem: Problem, constraint: Constraint) -> str:
     """Why no system is counted against a constraint; empty if systems are."""
     expression = constraint.expression
     if float(constraint.lower) == float(constraint.upper):
         return "an equality, which no single system meets"
     if _speaks_of_one_system(expression):
-        return ""
+        return _NOISE if problem.has_noise else ""
     if any(isinstance(atom, Statistic) for atom in expression.atoms):
         return "a statistic of all systems together"
     inside = any(isinstance(atom, Statistic) for atom in expression.leaves)
@@ -162,6 +165,6 @@ def broken_by(
     """Which systems break any limit of each name against which they are counted, from their excess over each."""
     broken: dict[str, Bool[np.ndarray, " systems"]] = {}
     for limit, beyond in zip(problem.constraints, excess, strict=True):
-        if is_counted(limit):
+        if is_counted(problem, limit):
             broken[limit.name] = broken.get(limit.name, False) | (beyond > 0)
     return broken

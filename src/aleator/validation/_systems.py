@@ -80,7 +80,7 @@ class Systems:
         self.sampled = _on_finer(self.problem, self.factor)
         self.folds = folds(self.sampled)
         limits = self.problem.constraints
-        self.over_time = [i for i, one in enumerate(limits) if is_over_time(one) and is_counted(one)]
+        self.over_time = [i for i, one in enumerate(limits) if is_over_time(one) and is_counted(self.problem, one)]
         self._finer = None
         if self.over_time and self.counted != self.factor:
             alone = as_expression(0.0), tuple(limits[i] for i in self.over_time)

@@ -33,6 +33,7 @@ from aleator.design import (
     is_worst_case,
     joined,
     statistics_in,
+    variances_by_noise,
 )
 from aleator.nlp import HELD
 from aleator.references._estimate import estimate, group_count
@@ -88,7 +89,7 @@ def evidence_of(solution: Solution, systems: Systems, whole: Batch, seed: int, s
     if not systems.germs:
         return replace(evidence, disagreements=tuple(_from_finer(evidence)))
     each = tuple(compared(evidence, problem, _estimates(problem, evidence)))
-    evidence = replace(evidence, compared=tuple(one for limit, one in each if not is_counted(limit)))
+    evidence = replace(evidence, compared=tuple(one for limit, one in each if not is_counted(problem, limit)))
     # A deterministic design has no expansion that they could contradict.
     if not solution.problem.placements.germs:
         return evidence
@@ -160,6 +161,7 @@ def _moments(evidence: Evidence) -> Iterator[Disagreement]:
     """Means and standard deviations; functionals with only a worst case do not use the expansion."""
     solution, certificate = evidence.solution, evidence.solution.certificate
     deviations = {} if certificate.grid_error is None else certificate.grid_error.functionals
+    by_noise = variances_by_noise(solution.problem.expressions).values()
     for functional in expanded_functionals(solution.problem.expressions):
         text, is_path = functional.text(), functional.is_path
         one = evidence.functionals[text]
@@ -171,10 +173,11 @@ def _moments(evidence: Evidence) -> Iterator[Disagreement]:
             # The known error of the grid, by which samples on a finer grid differ; NaN where it is not known.
             deviations[text].error if text in deviations else 0.0,
         )
-        for part in (
-            (f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error),
-            (f"σ[{text}]", one.expanded_std, one.std, one.std_error),
-        ):
+        parts = [(f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error)]
+        # Of what white noise adds to a variance nothing but the mean is asked.
+        if functional not in by_noise:
+            parts.append((f"σ[{text}]", one.expanded_std, one.std, one.std_error))
+        for part in parts:
             found = worst_disagreement(
                 *part,
                 samples=evidence.samples,
@@ -304,7 +307,7 @@ def compared(
         lower, upper = float(limit.lower), float(limit.upper)
         beyond = np.maximum(value - upper, lower - value)
         sure, tolerance = reach(freedom, value.size), np.full(value.size, HELD * solved.scale)
-        if is_counted(limit):
+        if is_counted(problem, limit):
             tolerance += _RELATIVE * np.sqrt(evidence.samples) * error + _of_grid(solution, limit.expression)
         i = int(np.argmax(beyond - sure * error - tolerance))
         yield (
