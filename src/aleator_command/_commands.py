@@ -63,7 +63,9 @@ def _numbers(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(number) for number in text.split(",") if number.strip())
     except ValueError:
-        raise argparse.ArgumentTypeError("expected numbers with commas between them, such as 1,1.2,1.4") from None
+        raise argparse.ArgumentTypeError(
+            "expected numbers with commas between them, in the unit of the limit: 1,1.2"
+        ) from None
 
 
 _STUDY = _argument("study", help="name of a case study (see `aleator list`), or a file or module of your own")

@@ -85,9 +85,9 @@ def load_module(place: str) -> AbstractStudy:
     """The study that an importable module declares: `package.module`, or `package.module:name` for one object in it.
 
     The object may be a study, a problem, or a function without arguments that makes one. Modules of the present folder
-    count. Raises `ProblemError`, naming the place, if there is none.
+    count, as `module.py:name` too. Raises `ProblemError`, naming the place, if there is none.
     """
-    name, _, attribute = place.partition(":")
+    name, _, attribute = place.replace(".py:", ":").partition(":")
     importable(Path.cwd())
     try:
         module = importlib.import_module(name)
