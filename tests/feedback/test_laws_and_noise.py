@@ -266,5 +266,5 @@ def test_what_noise_adds_is_compared_with_samples_and_no_system_is_counted_witho
     assert not evidence.broken
     with pytest.raises(al.ProblemError, match="beside white noise"):
         al.calibrate(problem, "place", target=0.05)
-    with pytest.raises(al.ProblemError, match="place"):
+    with pytest.raises(al.ProblemError, match="none is counted"):
         al.rare_violation(solution, "place")

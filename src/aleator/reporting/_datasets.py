@@ -176,7 +176,8 @@ def _histories(solution: Solution) -> Arrays:
 @dataset.register(Evidence)
 def _(evidence: Evidence) -> "xarray.Dataset":
     """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
-    problem, shares = evidence.solution.problem, {**evidence.violations, "any": evidence.joint}
+    problem, shares = evidence.solution.problem, dict(evidence.violations)
+    shares |= {"any": evidence.joint} if shares else {}
     arrays = _shares("limit", list(shares.values()))
     functionals = {one.text(): one for one in functionals_of(problem.expressions)}
     for text, sampled in evidence.functionals.items():

@@ -212,7 +212,10 @@ def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) 
     header = [f"Limit of {first.bound}", "Objective", "Shadow price", "Active", *decided]
     if any(counted):
         header.append("Violate any limit")
-        rows = [[*row, share_text(one.joint if one else None)] for row, one in zip(rows, counted, strict=True)]
+        rows = [
+            [*row, share_text(one.joint if one and one.broken else None)]
+            for row, one in zip(rows, counted, strict=True)
+        ]
     return Table(f"Designs along the limit of {first.bound}", header, rows)
 
 

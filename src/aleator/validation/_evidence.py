@@ -210,8 +210,11 @@ class Evidence(Drawn):
 
     @property
     def joint(self) -> Proportion:
-        """The proportion of systems that violate at least one constraint."""
-        return self.violation(*self.broken) if self.broken else Proportion(0, self.samples)
+        """The proportion of systems that violate at least one constraint.
+
+        Raises `ProblemError` if no constraint applies to single systems.
+        """
+        return self.violation(*self.broken)
 
     @property
     def uncounted(self) -> dict[str, str]:

@@ -151,6 +151,10 @@ def _speaks_of_one_system(expression: Expression) -> bool:
 
 def check_counted(who: str, names: Sequence[str], counted: Collection[str]) -> None:
     """Raise `ProblemError` for no names, and for any but those of constraints against which systems are counted."""
+    if not counted:
+        raise ProblemError(
+            f"{who}: no limit here applies to single systems, so none is counted; print(evidence) says why."
+        )
     unknown = [name for name in names if name not in counted]
     if unknown or not names:
         raise ProblemError(

@@ -71,7 +71,7 @@ def validate(
     if solution.over_intervals:
         how = {"seed": seed, "batch": batch, "keep": keep, "executor": executor, "progress": progress}
         every = tuple(validate(one, samples, **how) for one in solution.over_intervals)
-        worst = max(every, key=lambda one: one.joint.count)
+        worst = max(every, key=lambda one: one.joint.count if one.broken else 0)
         disagreements = tuple(itertools.chain.from_iterable(one.disagreements for one in every))
         return replace(worst, solution=solution, disagreements=disagreements, over_intervals=every)
 
