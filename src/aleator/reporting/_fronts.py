@@ -212,10 +212,8 @@ def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) 
     header = [f"Limit of {first.bound}", "Objective", "Shadow price", "Active", *decided]
     if any(counted):
         header.append("Violate any limit")
-        rows = [
-            [*row, share_text(one.joint if one and one.broken else None)]
-            for row, one in zip(rows, counted, strict=True)
-        ]
+        shares = (share_text(one.joint if one and one.broken else None) for one in counted)
+        rows = [[*row, share] for row, share in zip(rows, shares, strict=True)]
     return Table(f"Designs along the limit of {first.bound}", header, rows)
 
 
