@@ -208,35 +208,46 @@ def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[
             continue
         shifts = _shifts(np.asarray(expression.evaluate(scope)), replicates, chance, expression.is_path)
         # Each instant and entry is judged by its own spread, and told as a part of the largest.
+        judged = _of_objective(check, shifts) if which == 0 else _of_limit(check, which - 1, shifts)
         worst, is_told = shifts.worst(shifts.scale.max())
-        by, sure, is_moved, said = shifts.by, shifts.sure, shifts.beyond(shifts.scale) > 1, ""
-        tolerated = _BREAKS * shifts.scale
-        if which == 0:
-            tolerated = np.maximum(check.gained, tolerated)
-            is_unsure |= bool(sure[0] > tolerated[0])
-            if is_moved[0] and not abs(by[0]) <= tolerated[0]:
-                said = f"the objective differs by {shifts.text(0)}, more than was gained ({check.gained:.3g})"
-        else:
-            limit, own = problem.constraints[which - 1], check.at_instants(which - 1)
-            tolerated += HELD * check.limits[which - 1].size
-            beyond, other, either = (
-                np.maximum(*(excess_of(limit, own + one) for one in pair)) - tolerated
-                for pair in ((by, by), (-by, -by), (sure, -sure))
-            )
-            is_unsure |= bool(np.any(either > 0))
-            most, held = (np.where(is_moved, one, -np.inf) for one in (beyond, other))
-            if not np.max(most) <= 0:
-                worst, is_told = int(np.argmax(most)), True
-                by_this = f"is broken by {beyond[worst] + tolerated[worst]:.3g} once the expansion is corrected by"
-                said = f"'{limit.name}' {by_this} {shifts.text(worst)}"
-            # As with limits on tails: one that does not bind where it seems to holds the answer off its optimum.
-            elif has_shape((expression,)) and not np.max(held) <= 0:
-                worst, is_told = int(np.argmax(held)), True
-                said = f"'{limit.name}' binds in the expansion alone, which is wrong by {shifts.text(worst)}"
-        if is_told:
-            sentences.append(f"{expression} differs by {shifts.text(worst)} in fresh simulations")
-        broken = broken or said
+        if is_told or judged.broken:
+            text = shifts.text(judged.entry if judged.broken else worst)
+            sentences.append(f"{expression} differs by {text} in fresh simulations")
+        broken, is_unsure = broken or judged.broken, is_unsure or judged.is_unsure
     return sentences, broken, is_unsure
+
+
+class _Judged(NamedTuple):
+    """The entry of an expression that decides, what its change breaks, if anything, and whether chance could hide it."""
+
+    entry: int
+    broken: str
+    is_unsure: bool
+
+
+def _of_objective(check: Check, shifts: "_Shifts") -> _Judged:
+    tolerated = max(check.gained, _BREAKS * float(shifts.scale[0]))
+    is_broken = shifts.beyond(shifts.scale)[0] > 1 and not abs(shifts.by[0]) <= tolerated
+    said = f"the objective differs by {shifts.text(0)}, more than was gained ({check.gained:.3g})"
+    return _Judged(0, said if is_broken else "", bool(shifts.sure[0] > tolerated))
+
+
+def _of_limit(check: Check, number: int, shifts: "_Shifts") -> _Judged:
+    limit, own, by, sure = check.problem.constraints[number], check.at_instants(number), shifts.by, shifts.sure
+    tolerated = _BREAKS * shifts.scale + HELD * check.limits[number].size
+    beyond, other, low, high = (excess_of(limit, own + one) - tolerated for one in (by, -by, -sure, sure))
+    is_unsure, is_moved = bool(max(low.max(), high.max()) > 0), shifts.beyond(shifts.scale) > 1
+    broken, held = (np.where(is_moved, one, -np.inf) for one in (beyond, other))
+    if not np.max(broken) <= 0:
+        entry = int(np.argmax(broken))
+        excess = f"by {beyond[entry] + tolerated[entry]:.3g} once the expansion is corrected by {shifts.text(entry)}"
+        return _Judged(entry, f"'{limit.name}' is broken {excess}", is_unsure)
+    # As with limits on tails: one that does not bind where it seems to holds the answer off its optimum.
+    if has_shape((limit.expression,)) and not np.max(held) <= 0:
+        entry = int(np.argmax(held))
+        said = f"'{limit.name}' binds in the expansion alone, which is wrong by {shifts.text(entry)}"
+        return _Judged(entry, said, is_unsure)
+    return _Judged(0, "", is_unsure)
 
 
 class _Shifts(NamedTuple):
