@@ -218,7 +218,7 @@ def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[
 
 
 class _Judged(NamedTuple):
-    """The entry of an expression that decides, what its change breaks, if anything, and whether chance could hide it."""
+    """The entry that decides, what its change breaks, if anything, and whether chance could hide that."""
 
     entry: int
     broken: str
