@@ -153,6 +153,15 @@ def test_a_sum_of_an_interval_and_a_normal_number_has_the_probability_box_of_two
     assert (chance.lower, chance.upper) == (pytest.approx(norm.sf(3.5)), pytest.approx(norm.sf(0.5)))
 
 
+def test_the_least_of_a_small_probability_is_found_where_it_is_a_millionth_of_others():
+    rule = {"mean": al.Interval(0.1, 0.35), "load": al.Normal(al.Interval(2.0, 3.0), al.Interval(0.2, 0.4))}
+    expanded = al.expand(lambda one: 10 * (one["mean"] - 0.24) ** 2 + one["load"], rule)
+    chance = expanded.probability(above=3.1)
+    assert float(chance.lower) == pytest.approx(norm.sf(5.5), rel=1e-3)
+    assert chance.at_lower["mean"] == pytest.approx(0.24, abs=1e-3)
+    assert float(chance.upper) == pytest.approx(norm.sf((3.1 - 3 - 10 * 0.14**2) / 0.2), rel=1e-6)
+
+
 def test_bounds_are_found_inside_and_of_each_output():
     model = {"a": al.Interval(0.0, 3.0), "z": al.Normal(0.0, 0.1)}
     outputs = al.expand(

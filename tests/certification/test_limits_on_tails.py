@@ -125,6 +125,19 @@ def test_limits_on_tails_hold_for_every_entry_of_an_array(limit, exact):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("level", [0.45, 0.5, 0.55, 0.6])
+def test_a_quantile_near_the_mean_is_confirmed(level):
+    """Errors count as parts of the spread there: a distance from the mean of nearly zero is no measure."""
+    model = algebraic(lambda d, x, y, z, u: {"y": d * (x * y + z * u)})(
+        al.Decision(0.05, 0.01, 1.0), al.Normal(3.0, 0.6), al.Normal(2.0, 0.5), al.Normal(1.0, 0.3), al.Normal(4.0, 1.0)
+    )
+    limit = al.output("y").at_most(1.0, probability=level)
+    solution = al.solve(al.Problem(model, minimize=-al.value("d"), subject_to=[limit]))
+    x, y, z, u = np.random.default_rng(0).normal([3.0, 2.0, 1.0, 4.0], [0.6, 0.5, 0.3, 1.0], (10**6, 4)).T
+    assert float(solution.decisions["d"]) == pytest.approx(1 / np.quantile(x * y + z * u, level), rel=5e-3)
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
 @pytest.mark.parametrize(("threshold", "is_ok"), [(0.5, True), (0.14, False)])
 def test_a_probability_that_mean_and_spread_bound_needs_no_resolved_tail(threshold, is_ok):

@@ -27,6 +27,7 @@ from aleator.uncertainty import AbstractDecision, AbstractDistribution, Interval
 # The search for extremes goes on from the best points for so many numbers; of more, the best points are taken, of one
 # interval so many.
 _CONTINUED, _SCANNED = 16, 257
+_TINY = np.finfo(float).tiny
 
 
 class Bounds(NamedTuple):
@@ -136,24 +137,30 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
         first, structure = jax.tree.flatten(function(self.given(np.full(len(self.intervals), 0.5))))
         ends = np.cumsum([np.size(one) for one in first])
 
-        def both(points: Points) -> Float[np.ndarray, "points sides"]:
-            """Minus the numbers, and the numbers."""
+        def numbers(points: Points) -> Float[np.ndarray, "points numbers"]:
             leaves = (jax.tree.leaves(function(self.given(point))) for point in points)
-            rows = np.stack([np.concatenate([np.ravel(np.asarray(one, dtype=float)) for one in row]) for row in leaves])
+            return np.stack([np.concatenate([np.ravel(np.asarray(one, dtype=float)) for one in row]) for row in leaves])
+
+        def both(rows: Float[np.ndarray, "points numbers"]) -> Float[np.ndarray, "points sides"]:
+            """Minus the numbers, and the numbers; of those that are positive the logarithms."""
+            rows = np.where(positive, np.log(np.where(positive, np.maximum(rows, _TINY), 1.0)), rows)
             return np.concatenate([-rows, rows], axis=1)
 
         points = spread_over(len(self.intervals), 0)
         if points.shape[1] == 1 and ends[-1] > _CONTINUED:
             points = np.linspace(0.0, 1.0, _SCANNED)[:, None]
-        seen = both(points)
-        if not (finite := np.isfinite(seen).all(axis=1)).all():
+        known = numbers(points)
+        if not (finite := np.isfinite(known).all(axis=1)).all():
             where = ", ".join(f"{name} = {x:.6g}" for name, x in self.numbers(points[~finite][0]).items())
             raise ProblemError(f"bounds: the statistic is not finite where {where}: narrow the interval.")
+        # A probability may be least where it is a millionth of others.
+        positive = (known > 0).all(axis=0)
+        seen = both(known)
         best = np.column_stack([seen.max(axis=0), points[np.argmax(seen, axis=0)]])
         for i, range_ in enumerate(np.ptp(seen, axis=0)):
             if ends[-1] <= _CONTINUED and range_ > 0:
                 further = scipy.optimize.minimize(
-                    lambda point, i=i, range_=range_: -both(np.clip(point, 0.0, 1.0)[None])[0, i] / range_,
+                    lambda point, i=i, range_=range_: -both(numbers(np.clip(point, 0.0, 1.0)[None]))[0, i] / range_,
                     best[i, 1:],
                     method="L-BFGS-B",
                     bounds=[(0.0, 1.0)] * len(self.intervals),
@@ -161,12 +168,13 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
                 reached = np.append(-further.fun * range_, further.x)
                 best[i] = reached if reached[0] > best[i, 0] else best[i]
         lower, upper = np.split(best, 2)
+        least, largest = (np.where(positive, np.exp(one), one) for one in (-lower[:, 0], upper[:, 0]))
 
         def bounds_of(one: Any, end: int) -> Bounds:
             some, shape = slice(end - np.size(one), end), np.shape(one)
             places = (self.numbers(side[some, 1:].T) for side in (lower, upper))
             at = [{name: x.reshape(shape)[()] for name, x in one.items()} for one in places]
-            return Bounds(-lower[some, 0].reshape(shape)[()], upper[some, 0].reshape(shape)[()], *at)
+            return Bounds(least[some].reshape(shape)[()], largest[some].reshape(shape)[()], *at)
 
         return jax.tree.unflatten(structure, [bounds_of(one, end) for one, end in zip(first, ends, strict=True)])
 

@@ -31,8 +31,8 @@ from aleator.statistics import (
 from aleator.transcription import excess_of
 from aleator.uncertainty import named_numbers
 
-# An error of a statistic that moves an optimum: this part of its distance from the mean or of a tenth of the spread;
-# for a probability, and for that beyond a quantile, this part of it, which is about as much in a normal distribution.
+# An error of a statistic that moves an optimum: this part of its distance from the mean, or of the spread; for a
+# probability, and for that beyond a quantile, this part of it, which is about as much in a normal distribution.
 _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
 # Fresh systems in a tail: so many at first, unless the first draw shows that a limit cannot hang on them, and so many
 # at most, four times as many each time.
@@ -55,7 +55,7 @@ class _Tail(NamedTuple):
 
     - `at`: its place among the functional's values on the finer grid, the instant first; empty for a number;
     - `value`: the statistic; `chance`: the probability of its tail, the smaller one; `is_lower`: which tail that is;
-    - `reach`: how far it lies from the mean, a tenth of the spread at least.
+    - `reach`: how far it lies from the mean, the spread at least.
     """
 
     kind: AbstractTail
@@ -137,7 +137,7 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
             if std <= ROUNDING * abs(mean):
                 continue  # A path may be certain at some instants, as at its start.
             chance, is_lower = kind.tail(value)
-            tail = _Tail(kind, at, value, max(chance, _TINY), is_lower, max(abs(value - mean), 0.1 * std))
+            tail = _Tail(kind, at, value, max(chance, _TINY), is_lower, max(abs(value - mean), std))
             matters = partial(_matters, check, expression, atom, gaps)
             if (atom, entry) not in known:
                 known[atom, entry] = _error(check, atom, tail, matters)

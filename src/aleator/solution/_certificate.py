@@ -250,7 +250,8 @@ class Certificate(Printed):
             yield Objection("the grid is too coarse", f"solved{steps}, but {error}")
         if opinion is not None and opinion.broken:
             sentence = f"{opinion.samples} fresh simulations do not confirm it: {opinion.broken}. {opinion.remedy}"
-            yield Objection("fresh simulations contradict the expansion", f"solved for the expansion, but {sentence}")
+            phrase = "fresh simulations do not confirm the expansion"
+            yield Objection(phrase, f"solved for the expansion, but {sentence}")
         if worst_case is not None and not worst_case.is_found:
             worst = max(worst_case.realisations, key=lambda one: one.beyond)
             sentence = (

@@ -1,9 +1,10 @@
 """Tail statistics: quantiles, probabilities, the mean beyond a quantile; density and distribution function.
 
 All use the expansion along lines through the space of normal variables (see `_lines`). In up to three variables they
-are exact to about 1e-8 for smooth outputs. In more, probabilities of one output between 1e-7 and one have relative
-errors of some percent, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
-their tail. Entries of a path use fewer lines, or points (see `_output_distribution`).
+are exact to about 1e-8 for outputs that rise or fall throughout along a line. In more, probabilities of one output
+between 1e-7 and one have relative errors of some percent, which `AbstractTail.estimated` tells, and far smaller ones
+for outputs that are nearly linear in their tail. Entries of a path use fewer lines, or points (see
+`_output_distribution`).
 """
 
 import abc
