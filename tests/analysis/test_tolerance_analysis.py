@@ -1,6 +1,7 @@
 """Tolerance analysis: stacks of plates with closed forms, the published clutch, and mistakes refused."""
 
 import warnings
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +100,20 @@ def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly()
     found = np.array([analysis.rejects_low, analysis.rejects_high])
     assert np.abs(found - exact).max() < analysis.rejects_error
     assert analysis.rejects_error < 0.2 * exact.sum()
+
+
+@pytest.mark.parametrize("count", [2, 4, 5, 8, 10])
+def test_the_error_of_rejects_covers_that_of_the_integral_over_the_expansion(count):
+    """Squares, which order 2 has exactly: around the smallest of their sums lines through the germ hardly tell."""
+    parts = {f"d{i}": al.Normal(0.0, 1.0) for i in range(count)}
+    least = float(stats.chi2(count).ppf(1e-3))
+    squares = partial(sum_of, jnp.square)
+    analysis = al.tolerance_analysis(parts, squares, lower=least, expansion=al.Expansion(order=2))
+    assert abs(analysis.rejects - 1000.0) < analysis.rejects_error < 2000.0
+
+
+def sum_of(function, parts):
+    return sum(map(function, parts.values()))
 
 
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")  # a cone is no polynomial

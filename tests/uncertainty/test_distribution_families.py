@@ -52,6 +52,7 @@ LINEAR = {
     "triangular and symmetric": (al.Triangular(mean=5.0, half_width=0.5), stats.triang(0.5, 4.5, 1.0)),
     "truncated normal": (al.TruncatedNormal(2.0, 0.5, lower=1.2, upper=3.5), truncated(2.0, 0.5, 1.2, 3.5)),
     "truncated normal above": (al.TruncatedNormal(1.0, 0.5, upper=0.7), truncated(1.0, 0.5, upper=0.7)),
+    "truncated normal far away": (al.TruncatedNormal(1.0, 1e-5, lower=0.0), truncated(1.0, 1e-5, 0.0)),
     "truncated normal in the tail": (al.TruncatedNormal(0.0, 1.0, lower=6.0, upper=8.0), truncated(0.0, 1.0, 6.0, 8.0)),
     "a normal density": (al.Density(bell, -np.inf, np.inf, location=27.6, scale=0.05), stats.norm(27.6, 0.05)),
     "a density on the half line": (al.Density(lambda x: x * np.exp(-x), 0.0, np.inf), stats.gamma(2.0)),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
+import aleator as al
 from aleator._core.errors import ProblemError
 from aleator.uncertainty import (
     DensityGerm,
@@ -201,3 +202,8 @@ def test_a_sample_of_n_values_is_its_own_gauss_rule_of_n_points():
     assert weights == pytest.approx(np.full(5, 0.2), rel=1e-12)
     with pytest.raises(ProblemError, match="5 distinct values carries polynomials up to order 4; received order 5"):
         SampleGerm(data).recurrence(5)
+    few, other = al.Sample([0.0, 1.0, 3.0]), al.Normal(0.0, 1.0)
+    for points in (None, al.points.InducedPoints(), al.points.SmolyakPoints()):
+        chosen = {} if points is None else {"points": points}
+        with pytest.raises(ProblemError, match="3 distinct values carries polynomials up to order 2"):
+            al.expand(lambda one: one["x"] + one["y"], {"x": few, "y": other}, al.Expansion(order=3, **chosen))

@@ -335,28 +335,28 @@ def _beyond(
     expanded: Expanded, sampler: Sampler, lower: float, upper: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """The probabilities of less than the lower limit and of more than the upper one, with their 95 % half-widths."""
-    limits = [limit for limit in (lower, upper) if np.isfinite(limit)]
-    # Two values, so that one program serves analyses with one limit and with two.
-    levels = dict(zip(limits, np.asarray(expanded.cdf(jax_array(np.resize(limits, 2)))).tolist(), strict=False))
     nothing = 0.0, 0.0
-    low = _in_tail(expanded, sampler, Probability(below=lower), levels[lower]) if lower in levels else nothing
-    high = _in_tail(expanded, sampler, Probability(above=upper), 1 - levels[upper]) if upper in levels else nothing
+    low = _in_tail(expanded, sampler, Probability(below=lower)) if np.isfinite(lower) else nothing
+    high = _in_tail(expanded, sampler, Probability(above=upper)) if np.isfinite(upper) else nothing
     return low, high
 
 
-def _in_tail(expanded: Expanded, sampler: Sampler, event: Probability, chance: float) -> tuple[float, float]:
+def _in_tail(expanded: Expanded, sampler: Sampler, event: Probability) -> tuple[float, float]:
     """The probability of rejects: that of the expansion, corrected by the assemblies' own values in that tail."""
     basis, coefficients = expanded.basis, np.asarray(expanded.coefficients)
+    lines = prepared(lines_through, basis)
+    chance, half = map(float, event.estimated(coefficients, lines))
     if not basis.variables or not np.any(coefficients[1:]):
         return chance, 0.0
     is_lower, at = event.below is not None, max(chance, _LEAST_CHANCE)
-    proposal = tail_proposal(basis, prepared(lines_through, basis), coefficients, at, lower=is_lower)
+    proposal = tail_proposal(basis, lines, coefficients, at, lower=is_lower)
     points, weights = points_in_tail(proposal, basis, _IN_TAIL, 0)
     values = np.asarray(sampler.samples(jax_array(points)))
     both = values, basis.matrix(points) @ coefficients
     seen, predicted = (np.asarray(event.holds(one, is_rounded=True), float) for one in both)
     missed = weights * (seen - predicted)
-    return max(chance + float(missed.mean()), 0.0), float(2 * missed.std() / np.sqrt(len(missed)))
+    error = float(np.hypot(2 * missed.std() / np.sqrt(len(missed)), half))
+    return max(chance + float(missed.mean()), 0.0), error
 
 
 def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Zone]) -> dict[str, Contribution]:

@@ -160,6 +160,7 @@ def candidate_terms(germs: Mapping[str, AbstractGerm], expansion: Expansion) -> 
             "take a fixed index set, such as al.index_sets.TotalDegree()."
         )
     candidates = Basis(germs, expansion.index_set.indices(tuple(germs), expansion.order))
+    candidates.matrix(np.zeros((0, len(germs))))  # refuses an order that data do not carry, before points are chosen
     usual = expansion.fit.points_per_term * candidates.terms
     if isinstance(expansion.points, AbstractCountedPoints):
         candidates.refuse_beyond_memory(expansion.points.count or usual, _MATRICES)

@@ -14,6 +14,7 @@ from aleator.uncertainty._distribution import Canonical, Form
 from aleator.uncertainty._families import AbstractFamily, Standard
 from aleator.uncertainty._measure import AbstractDensityGerm
 
+_FURTHEST = 37.0  # scales from the mean, beyond which a normal distribution has no mass
 _REACH = 80.0  # the density is 1e-17 of its peak where half the square of the germ has grown by half of this
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
@@ -124,10 +125,13 @@ class Triangular(AbstractFamily):
 
 
 def _standardised(bound: Scalar, location: Scalar, scale: Scalar) -> Scalar:
-    """The bound in scales from the location. Infinite bounds are kept as they are: their derivatives would be NaN."""
+    """The bound in scales from the location; infinite where no mass lies beyond. The derivatives of infinite ones would
+    be NaN.
+    """
     xp, bound, location, scale = in_library(bound, location, scale)
     finite = xp.isfinite(bound)
-    return xp.where(finite, (xp.where(finite, bound, location) - location) / scale, bound)
+    end = xp.where(finite, (xp.where(finite, bound, location) - location) / scale, bound)
+    return xp.where(end > _FURTHEST, np.inf, xp.where(end < -_FURTHEST, -np.inf, end))
 
 
 def _mass(low: Array, high: Array) -> Array:
@@ -209,7 +213,7 @@ class TruncatedNormal(AbstractFamily):
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         del parameters
         low, high = shape
-        return low < high and low < 37 and high > -37
+        return low < high and low < _FURTHEST and high > -_FURTHEST
 
     @override
     def support(self) -> tuple[Scalar, Scalar]:
