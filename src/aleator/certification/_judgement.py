@@ -150,7 +150,7 @@ def _quality_of(
     # Limits on the worst case use the model itself.
     for functional in expanded_functionals(problem.expressions):
         text = functional.text()
-        one, varies = resolved[text], text not in certain
+        one, varies = resolved[text], text not in certain and len(problem.placements.germs) > 0
         errors[text] = float(one.leave_one_out) if varies else 0.0
         if varies and one.history is not None and (missed := ~(np.asarray(one.history) <= tolerance)).any():
             late[text] = float(times[grid.where(functional.place)][int(np.argmax(missed))])
