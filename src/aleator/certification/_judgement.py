@@ -19,6 +19,7 @@ from aleator.certification._moving_jumps import unfollowed_jumps
 from aleator.certification._second_opinion import second_opinion
 from aleator.design import (
     Constraint,
+    Peak,
     Problem,
     as_declared,
     behind_end,
@@ -206,7 +207,7 @@ def _untrusted(solution: Solution) -> str:
     problem, quality = solution.problem, solution.certificate.expansion
     trusted = max(quality.tolerance, _TRUSTED)
     # By how many times what is tolerated something is missed, and what.
-    missed = [(1.0, "")]
+    missed = [(1.0, "", "")]
     for one in statistics_in((problem.objective, *within_reach_of_errors(solution))):
         most = trusted if isinstance(one.kind, _MOMENTS) else quality.tolerance
         for text in (functional.text() for functional in one.functionals):
@@ -214,17 +215,20 @@ def _untrusted(solution: Solution) -> str:
             # If no points are left to check it by, the error is infinite, and fresh simulations decide.
             if not np.isinf(error):
                 said = f"{text} by {error:.2g} of its standard deviation, where {one.text()} asks for"
-                missed.append((np.inf if np.isnan(error) else error / most, f"{said} {most:.2g} at most"))
+                by = np.inf if np.isnan(error) else error / most
+                missed.append((by, f"{said} {most:.2g} at most", quality.remedy))
     results = zip(problem.constraints, solution.constraints, strict=True)
     held = (limit.expression for limit, result in results if np.any(result.active))
-    for text in (one.text() for one in expanded_functionals((problem.objective, *held))):
+    for one in expanded_functionals((problem.objective, *held)):
+        # The peak of a motion goes from instant to instant.
+        text, remedy = one.text(), "Use more steps" if isinstance(one, Peak) else quality.remedy
         for parameter, error in quality.tangents.get(text, {}).items():
             if parameter not in solution.at_bounds and np.isfinite(error):
                 said = f"the derivative of {text} by {parameter}, which the optimum follows from, by {error:.2g} of its"
-                missed.append((error / trusted, f"{said} standard deviation, where {trusted:.2g} is the most"))
-    worst = max(missed, key=lambda one: one[0])[1]
+                missed.append((error / trusted, f"{said} standard deviation, where {trusted:.2g} is the most", remedy))
+    _, worst, remedy = max(missed, key=lambda one: one[0])
     return worst and (
-        f"the expansion of order {quality.order} misses {worst}. {quality.remedy}; or say that you accept it, "
+        f"the expansion of order {quality.order} misses {worst}. {remedy}; or say that you accept it, "
         "al.Expansion(order, tolerance=...), and trust al.validate alone"
     )
 
