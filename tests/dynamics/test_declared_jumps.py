@@ -189,3 +189,28 @@ def test_tables_whose_pieces_have_no_length_are_refused(times):
 def test_step_functions_that_are_none_are_refused(given):
     with pytest.raises(al.ProblemError, match="StepFunction: "):
         al.StepFunction(*given)
+
+
+class Bead(al.Lagrangian):
+    """A bead on a rod that turns at 2 rad/s: at a fixed state the rates of its place are rounding beside others."""
+
+    names = ("x", "y")
+    constraint_names = ("rod",)
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def potential_energy(self, q):
+        return 0.0 * q[1]
+
+    def constraint(self, q, t):
+        return (q[0] * jnp.sin(2 * t) - q[1] * jnp.cos(2 * t),)
+
+
+@pytest.mark.slow
+def test_rounding_is_no_jump():
+    system = al.ForwardDynamics(Bead(), start={"x": 1.0, "x_rate": 0.0, "y_rate": 2.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        motion = al.simulate(system, al.Grid(1.0, 100))
+    assert motion["x"][-1] == pytest.approx(np.cosh(2) * np.cos(2), rel=1e-6)

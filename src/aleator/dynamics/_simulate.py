@@ -38,8 +38,8 @@ _MOST_INTERVALS, _HALVED = 500, 36
 _SAME = 1e-9
 # A change within no time that is larger than this part of a number's largest value is a jump.
 _JUMP = 1e-6
-# A number that is never larger than this part of the largest one may be rounding.
-_ROUNDING = 1e-12
+# A number counts as this part of the largest one at least: its changes by less than `_JUMP` of that may be rounding.
+_ROUNDING = 1e-7
 # How far the second state that is tried is off the first one.
 _OFF = 0.1
 
