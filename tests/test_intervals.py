@@ -153,6 +153,7 @@ def test_a_sum_of_an_interval_and_a_normal_number_has_the_probability_box_of_two
     assert (chance.lower, chance.upper) == (pytest.approx(norm.sf(3.5)), pytest.approx(norm.sf(0.5)))
 
 
+@pytest.mark.slow
 def test_the_least_of_a_small_probability_is_found_where_it_is_a_millionth_of_others():
     rule = {"mean": al.Interval(0.1, 0.35), "load": al.Normal(al.Interval(2.0, 3.0), al.Interval(0.2, 0.4))}
     expanded = al.expand(lambda one: 10 * (one["mean"] - 0.24) ** 2 + one["load"], rule)

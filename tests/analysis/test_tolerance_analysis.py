@@ -102,6 +102,7 @@ def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly()
     assert analysis.rejects_error < 0.2 * exact.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4, 5, 8, 10])
 def test_the_error_of_rejects_covers_that_of_the_integral_over_the_expansion(count):
     """Squares, which order 2 has exactly: around the smallest of their sums lines through the germ hardly tell."""
