@@ -113,6 +113,7 @@ def test_a_design_for_the_worst_damping_is_found_from_afar():
     assert solution.decisions["k"] == pytest.approx((1.1 / 0.1) ** 2, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_parameter_of_a_distribution_may_be_an_interval():
     # sup of a (1 + m + 2 s) over m and s: both at their upper ends.
     z = al.Normal(al.Interval(-0.1, 0.1), al.Interval(0.1, 0.3))
