@@ -22,11 +22,9 @@ from aleator._core.identity import DoubtError, lasting_digest
 from aleator._core.journalled import AbstractJournal, NotKeptError, Place, called, journalled, journalling
 from aleator._core.parallel import heeding
 from aleator.journalling._results import (
-    DONE,
     FAILED,
     FILE,
     FINISHED,
-    INFEASIBLE,
     INTERRUPTED,
     LOST,
     RUNNING,
@@ -37,9 +35,9 @@ from aleator.journalling._results import (
     identity,
     read,
     read_result,
+    state_of,
     write_result,
 )
-from aleator.nlp import Status
 from aleator.reporting import as_path, check_writable, has_writer, only_writer, words
 
 Result = TypeVar("Result")
@@ -243,7 +241,7 @@ class Journal(AbstractJournal, Mapping[str, Any]):
                 self.taken |= {key} if is_earlier else set()
                 # What a run of another form of the study took its name from has it again.
                 again = replace(known, name=known.name or called())
-                again = replace(again, state=_state_of(result), why="") if known.state == STALE else again
+                again = replace(again, state=state_of(result), why="") if known.state == STALE else again
                 if again != known and self._writes:
                     self.append(again)
                 return Place(result)
@@ -279,7 +277,7 @@ class Journal(AbstractJournal, Mapping[str, Any]):
 
         def keep(result: Any) -> None:
             """Write a result, then the line that says so."""
-            seconds, state = time.perf_counter() - started, _state_of(result)
+            seconds, state = time.perf_counter() - started, state_of(result)
             if state == INTERRUPTED:
                 end(state)
                 return
@@ -347,16 +345,6 @@ class Journal(AbstractJournal, Mapping[str, Any]):
             for other in self.entries:
                 if other.file and digest in other.parts.values():
                     self._outdate(other, "it follows from a stale result")
-
-
-def _state_of(result: Any) -> str:
-    """How far a result is, of whatever kind: also of arrays, whose attributes of these names are no truth values."""
-    status = getattr(result, "status", Status.SOLVED)
-    if status is Status.INTERRUPTED or getattr(result, "interrupted", False) is True:
-        return INTERRUPTED
-    if status is Status.INFEASIBLE:
-        return INFEASIBLE
-    return FAILED if getattr(result, "ok", True) is False else DONE
 
 
 # --- Work of one's own ------------------------------------------------------------------------------------------------

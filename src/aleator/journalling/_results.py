@@ -25,6 +25,7 @@ from aleator._core.identity import joined, lasting_digest, versions
 from aleator._core.journalled import AbstractParts, read_lines
 from aleator._core.programs import is_private
 from aleator.design import Problem
+from aleator.nlp import Status
 from aleator.reporting import KINDS, tree, write_whole
 
 # --- Lines ------------------------------------------------------------------------------------------------------------
@@ -35,6 +36,16 @@ FILE = "journal.jsonl"
 RUNNING, INTERRUPTED, DONE, INFEASIBLE, FAILED = "running", "interrupted", "done", "infeasible", "failed"
 # Its code, or a library, is another now; its file is missing or damaged.
 STALE, LOST = "stale", "lost"
+
+
+def state_of(result: Any) -> str:
+    """How far a result is, of whatever kind: also of arrays, whose attributes of these names are no truth values."""
+    status = getattr(result, "status", Status.SOLVED)
+    if status is Status.INTERRUPTED or getattr(result, "interrupted", False) is True:
+        return INTERRUPTED
+    if status is Status.INFEASIBLE:
+        return INFEASIBLE
+    return FAILED if getattr(result, "ok", True) is False else DONE
 
 
 @final
