@@ -102,10 +102,10 @@ def _value(function: Callable[[Any, Any], Any], t: Any, parameters: dict[str, An
 def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Parametrised:
     """The signal `function(t, p)`, where each parameter is an attribute of `p`.
 
-    A parameter is a number or an array, a distribution, a `Decision` or another signal (a trajectory fills the time
-    grid): `signal(lambda t, p: p.amplitude * jnp.sin(p.frequency * t), amplitude=Normal(1.0, 0.1), frequency=3.0)`. The
-    function is written with `jax.numpy`, for one instant `t` in seconds. Uncertain coefficients of given functions of
-    time also make a random process; `RandomProcess` makes one from its covariance.
+    A parameter is a number or an array, a distribution, a `Decision` or another signal, which is called, `p.gust(t)` (a
+    trajectory fills the time grid): `signal(lambda t, p: p.amplitude * jnp.sin(p.frequency * t), amplitude=Normal(1.0,
+    0.1), frequency=3.0)`. The function is written with `jax.numpy`, for one instant `t` in seconds. Uncertain
+    coefficients of given functions of time also make a random process; `RandomProcess` makes one from its covariance.
 
     The function is traced here, once: to change its code, make the signal again.
 
