@@ -31,6 +31,9 @@ from aleator.design import (
 )
 from aleator.uncertainty import named_numbers, realise
 
+# What varies by less than this part of its mean does not vary.
+_ROUNDING = 1e-12
+
 
 @final
 class Sums(NamedTuple):
@@ -74,8 +77,9 @@ class Sums(NamedTuple):
 
     @property
     def std(self) -> Float[np.ndarray, "*shape"]:
-        """The standard deviation; zero of a single sample."""
-        return np.asarray(np.sqrt(self.second / max(self.number - 1, 1)))
+        """The standard deviation; zero of a single sample, and of what varies by rounding alone."""
+        std = np.sqrt(self.second / max(self.number - 1, 1))
+        return np.where(std <= _ROUNDING * np.abs(self.mean), 0.0, std)
 
     @property
     def std_error(self) -> Float[np.ndarray, "*shape"]:
