@@ -40,6 +40,8 @@ _DESCENTS, _STARTS = 12, 64
 _APART = 0.7  # cosine between minima that are told apart
 # The step of derivatives by imaginary parts, which lose no digits.
 _IMAGINARY = 1e-30
+# Terms below this part of an output's spread are the rounding of its coefficients.
+_NO_PART = 1e-12
 # Directions are rounded to this, so that lines rest in the last steps of a search for an optimum, and values follow
 # their derivatives there, in which lines rest. A step of the directions changes the error of an integral alone, by
 # about a thousandth of itself.
@@ -132,23 +134,26 @@ class Lines(Module):
     def values(
         self, coefficients: Float[np.ndarray, " terms"], normal: Float[np.ndarray, "variables n"]
     ) -> Float[np.ndarray, " n"]:
-        """The expansion at points: products are needed of terms in several variables alone."""
+        """The expansion at points: products are needed of terms in several variables alone, that count."""
         flat, factors = self._polynomials(normal), np.asarray(self.factors)
         is_product = (factors > 0).sum(axis=0) > 1
         single = np.bincount(factors[:, ~is_product].max(axis=0, initial=0), coefficients[~is_product], len(flat))
         value = single @ flat
-        if is_product.any():
-            value += coefficients[is_product] @ _products(flat, factors[:, is_product])
+        counts = is_product & (np.abs(coefficients) > _NO_PART * np.linalg.norm(coefficients))
+        if counts.any():
+            value += coefficients[counts] @ _products(flat, factors[:, counts])
         return value
 
     def _polynomials(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "polynomials n"]:
         """The polynomials of each variable by degree, the constant first."""
-        germ = self._germ(normal)
-        every, previous, current = [], np.zeros(germ.shape), np.ones(germ.shape, germ.dtype)
-        for a, b, after in np.asarray(self.recurrence)[..., None]:
-            every.append(current)
-            previous, current = current, ((germ - a) * current - b * previous) / after
-        return np.concatenate(every)
+        germ, recurrence = self._germ(normal), np.asarray(self.recurrence)[..., None]
+        every = np.ones((len(recurrence), *germ.shape), germ.dtype)
+        for degree, (a, b, after) in enumerate(recurrence[:-1]):
+            current = np.multiply(germ - a, every[degree], out=every[degree + 1])
+            if degree:
+                current -= b * every[degree - 1]
+            current /= after
+        return every.reshape(-1, germ.shape[1])
 
     def _germ(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:
         is_normal = np.asarray(self.is_normal) > 0
