@@ -156,15 +156,13 @@ class Lines(Module):
         return every.reshape(-1, germ.shape[1])
 
     def _germ(self, normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "variables n"]:
-        is_normal = np.asarray(self.is_normal) > 0
-        if np.all(is_normal):
-            return normal
-        place = (normal + LAST) * (TABLED / (2 * LAST))
+        others, germ = np.flatnonzero(np.asarray(self.is_normal) == 0), normal.copy()
+        place = (normal[others] + LAST) * (TABLED / (2 * LAST))
         clipped = np.clip(place.real, 0.0, float(TABLED))
         cell = np.minimum(clipped.astype(int), TABLED - 1)
-        cubic = np.asarray(self.table)[np.arange(len(cell))[:, None], cell]
-        inside = clipped - cell + (place - place.real)
-        return np.where(is_normal, normal, horner(np.moveaxis(cubic, -1, 0), inside[None])[0])
+        cubic = np.asarray(self.table)[others[:, None], cell]
+        germ[others] = horner(np.moveaxis(cubic, -1, 0), (clipped - cell + (place - place.real))[None])[0]
+        return germ
 
     def minima(self, coefficients: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "variables minima"]:
         """Directions in which the expansion is smallest at some distance, the best one first."""
