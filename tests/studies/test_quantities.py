@@ -50,6 +50,7 @@ def refusal_of(reader: Callable[[str, str], object], text: str, unit: str) -> st
         ("25 degC", "K", "received 'degC'. Write '298.15 K', or '25 K' if it is a difference or a spread."),
         ("9 degF", "K", "or '5 K' if it is a difference"),
         ("1 ± 0.1 mm", "mm", "without tolerances"),
+        ("20 dB", "Np", "expected a unit that can be converted to 'Np'; received 'dB'"),
     ],
 )
 def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: str, word: str):
@@ -150,5 +151,5 @@ def test_a_turn_per_second_is_no_radian_per_second_and_may_be_no_plain_rate():
 
 def test_what_can_be_read_in_two_ways_or_in_none_is_not_known():
     units = ["", "W/m² K", "W/m² * K", "W/(m² s) K", "bananas", "$", "N m)", "(N", "kg-m", "10 N", "CO2", "N2"]
-    units += ["m/", "m//s", "m + s", "m^", "²", "m²³⁻"]
+    units += ["m/", "m//s", "m + s", "m^", "²", "m²³⁻", "dB", "dBm", "octave"]
     assert [unit for unit in units if measure(unit) is not None] == []

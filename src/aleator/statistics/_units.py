@@ -142,7 +142,7 @@ def is_same(first: str, second: str) -> bool:
 
 @functools.lru_cache(maxsize=256)
 def measure(unit: str) -> Measure | None:
-    """What a unit measures; None if it is unknown, or can be read in two ways."""
+    """What a unit measures; None if it is unknown, logarithmic (as a decibel), or can be read in two ways."""
     text = unicodedata.normalize("NFC", unit).strip().replace("**", "^")  # an ohm sign becomes a capital omega
     text = _TIMES.sub("*", "1" if text == PURE else text)
     if not text or _AMBIGUOUS.search(text):
@@ -150,15 +150,18 @@ def measure(unit: str) -> Measure | None:
     registry = _registry()
     try:
         written = registry.parse_units(_PLAIN_POWER.sub(r"\1^\2", f"1{text}" if text.startswith("/") else text))
-        root = registry.Quantity(1.0, written).to_root_units()
+        root, twice = (registry.Quantity(number, written).to_root_units() for number in (1.0, 2.0))
         zero = registry.Quantity(0.0, written).to_root_units().magnitude
     except Exception:  # pint, and Python's tokenizer below it, have one for each way to fail
+        return None
+    size = root.magnitude - zero
+    if not math.isclose(twice.magnitude - zero, 2 * size, rel_tol=1e-9):
         return None
     powers = dict(root.unit_items())
     angles = powers.pop("radian", 0)
     factors = dict(registry.Quantity(1.0, written).unit_items())
     hertz = sum(power for name, power in factors.items() if name.endswith("hertz"))
-    return Measure(float(root.magnitude - zero), float(zero), powers, angles, hertz, factors.get("radian", 0) == angles)
+    return Measure(float(size), float(zero), powers, angles, hertz, factors.get("radian", 0) == angles)
 
 
 @functools.cache

@@ -296,7 +296,7 @@ def _leaf(value: Any, unit: str) -> Any:
     numbers: dict[str, Any] = {
         _known(name, _DECISION, f"{name} is unknown."): plain(one, unit) for name, one in value.items()
     }
-    return Decision(numbers.pop("start"), **numbers)
+    return Decision(numbers.pop("start", None), **numbers)
 
 
 def _limited(problem: Problem, name: str, bound: Any) -> Problem:
