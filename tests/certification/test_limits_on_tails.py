@@ -1,5 +1,7 @@
 """Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -151,6 +153,68 @@ def test_a_probability_that_mean_and_spread_bound_needs_no_resolved_tail(thresho
     assert solution.certificate.expansion.worst > 0.05
     assert solution.ok == is_ok
     assert not is_ok or float(solution.decisions["a"]) == pytest.approx(0.3)
+
+
+Curved = algebraic(lambda d, u, bend, slope: {"y": d + jnp.tanh(bend * u) + slope * u, "d": d})
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(
+    ("bend", "slope", "limit", "level"),
+    [
+        (1.37, 1.22, al.output("y").conditional_value_at_risk(0.95) <= 0.0, 0.95),
+        (0.528, 0.511, al.output("y").quantile(0.02) >= 0.0, 0.02),
+    ],
+)
+def test_what_is_said_of_a_tail_is_what_the_model_has_there(bend, slope, limit, level):
+    """Statistics that followed the mean and spread of fresh systems had the wrong sign here."""
+    model = Curved(al.Decision(0.0, -9.0, 9.0), al.Normal(0.0, 1.0), bend, slope)
+    objective = (-1 if level > 0.5 else 1) * al.output("d").mean
+    problem = al.Problem(model, minimize=objective, subject_to=[limit], expansion=al.Expansion(order=2))
+    solution = al.solve(problem, throw=False)
+    said = re.search(r"by the expansion, and (\S+) ± (\S+) by", solution.why())
+    assert said is not None
+    u = U(np.linspace(level, 1.0, 10**6 + 2)[1:-1])
+    beyond = float(solution.decisions["d"]) + np.tanh(bend * u) + slope * u
+    exact = beyond.mean() if level > 0.5 else beyond[0]
+    assert float(said[1]) == pytest.approx(exact, abs=1.5 * float(said[2]))
+    assert abs(float(said[2])) < abs(exact)
+
+
+class TwoHumps(al.System):
+    """Of two humps, the second is larger: but an expansion does not see its fast cosine."""
+
+    states = ("rest",)
+    size: al.Number
+    u: al.Number
+
+    def rhs(self, t, z):
+        return (0.0 * z.rest,)
+
+    def initial(self):
+        return {"rest": 0.0}
+
+    def outputs(self, t, z):
+        first, second = jnp.exp(-((t - 1) ** 2) / 0.1), jnp.exp(-((t - 3) ** 2) / 0.1)
+        humps = first * (1 + 0.2 * self.u) + 1.05 * second * (1 + 0.1 * self.u + 0.25 * jnp.cos(4 * self.u))
+        return {"y": self.size * humps}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(
+    "limit", [al.path("y").at_most(2.0, probability=0.95), al.path("y").conditional_value_at_risk(0.9) <= 2.0]
+)
+def test_tails_are_looked_into_wherever_mean_and_spread_let_a_limit_break(limit):
+    model = TwoHumps(al.Decision(1.0, 0.1, 5.0), al.Normal(0.0, 1.0))
+    parts = {"minimize": -al.value("size"), "subject_to": [limit], "expansion": al.Expansion(3, tolerance=0.9)}
+    solution = al.solve(al.Problem(model, grid=al.Grid(4.0, 40), **parts), throw=False)
+    u = U(np.linspace(0.0, 1.0, 10**5 + 2)[1:-1])
+    second = np.sort(float(solution.decisions["size"]) * 1.05 * (1 + 0.1 * u + 0.25 * np.cos(4 * u)))
+    assert second[95 * len(second) // 100] > 2.05
+    assert not solution.ok
+    assert "systems in its tail" in solution.certificate.opinion.broken
 
 
 # --- Limits on skewness and kurtosis ----------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ _MANY, _FEWEST, _NUMBERS, _DRAW = 2**15, 2**11, 2**23, 10**6
 # An expansion has the statistic of these systems within so many standard errors and this part of its size.
 _ERRORS, _PART = 4.0, 0.01
 
-_FOLLOW_THE_SPREAD = (Quantile, ConditionalValueAtRisk, Supremum, Infimum)
+_IN_TAILS, _AT_ENDS = (Quantile, ConditionalValueAtRisk), (Supremum, Infimum)
 
 
 def second_opinion(check: Check) -> SecondOpinion | None:
@@ -163,7 +163,8 @@ def _corrected(
 ) -> tuple[Replicates, Float[np.ndarray, "..."]]:
     """A statistic in all replicates, and its change by one standard deviation of the functional.
 
-    Quantiles and the like are shifted and scaled with mean and spread.
+    What lies at the ends of an output is shifted and scaled with mean and spread; of quantiles and means beyond them
+    systems in their tails tell (`tail_objections`).
     """
     weights, std, base = _along(one.weights, one.fresh), one.std, expanded[..., None]
     shift = means(weights, one.fresh - one.predicted)
@@ -181,10 +182,10 @@ def _corrected(
             return base + means(weights, seen[0] - seen[1]), np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
     if isinstance(kind, OF_THE_SHAPE):
         return _corrected_shape(kind, base, one, transcribed)
-    if isinstance(kind, _FOLLOW_THE_SPREAD):
+    if isinstance(kind, _AT_ENDS):
         safe = np.where(std > 0, std, 1.0)[..., None]
         return base + shift + (base - one.mean[..., None]) / safe * wider, std
-    return base + 0 * shift, 0 * std
+    return base + 0 * shift, std if isinstance(kind, _IN_TAILS) else 0 * std
 
 
 def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[list[str], str, bool]:
@@ -204,7 +205,8 @@ def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[
         known[atom] = np.concatenate([values, moved], axis=-1)
     scope, sentences, broken, is_unsure = KnownStatistics(check, known), [], "", False
     for which, expression in enumerate(problem.expressions):
-        if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
+        kinds = [leaf.kind for leaf in expression.leaves if isinstance(leaf, Statistic)]
+        if not kinds:
             continue
         shifts = _shifts(np.asarray(expression.evaluate(scope)), replicates, chance, expression.is_path)
         # Each instant and entry is judged by its own spread, and told as a part of the largest.
@@ -212,7 +214,10 @@ def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[
         worst, is_told = shifts.worst(shifts.scale.max())
         if is_told or judged.broken:
             text = shifts.text(judged.entry if judged.broken else worst)
-            sentences.append(f"{expression} differs by {text} in fresh simulations")
+            follows = (
+                ", if its ends follow their mean and spread" if any(isinstance(x, _AT_ENDS) for x in kinds) else ""
+            )
+            sentences.append(f"{expression} differs by {text} in fresh simulations{follows}")
         broken, is_unsure = broken or judged.broken, is_unsure or judged.is_unsure
     return sentences, broken, is_unsure
 

@@ -78,20 +78,40 @@ class _Tail(NamedTuple):
         share = np.average(np.abs(seen.predicted - self.value) < around, weights=seen.weights)
         return max(float(share) / (2 * around), _TINY)
 
-    def differences(self, seen: _Seen) -> Float[np.ndarray, " n"]:
-        """The contribution of each system to the error of the statistic: their weighted mean is the error."""
-        kind, (values, predicted, weights) = self.kind, seen
+    def error(self, seen: _Seen) -> tuple[float, float]:
+        """The error of the statistic, and its standard error."""
+        kind, share, both = self.kind, seen.weights / seen.weights.sum(), (seen.values, seen.predicted)
+        moved, local = 0.0, 0.0
         if isinstance(kind, Probability):
-            inside = (np.asarray(kind.holds(one, is_rounded=True), float) for one in (values, predicted))
-            return next(inside) - next(inside)
-        if isinstance(kind, ConditionalValueAtRisk):
+            inside = [np.asarray(kind.holds(one, is_rounded=True), float) for one in both]
+            each = inside[0] - inside[1]
+        elif isinstance(kind, ConditionalValueAtRisk):
             level, sign = float(kind.level), -1.0 if kind.lower else 1.0
-            order = np.argsort(predicted)
-            summed = np.cumsum(weights[order])
-            quantile = predicted[order[np.searchsorted(summed, level * summed[-1]).clip(max=len(order) - 1)]]
-            short = [np.maximum(sign * (one - quantile), 0.0) for one in (values, predicted)]
-            return sign * (short[0] - short[1]) / (level if kind.lower else 1 - level)
-        return (1.0 * (predicted < self.value) - 1.0 * (values < self.value)) / self.density(seen)
+            ends = [_quantile(one, share, level) for one in both]
+            short = [np.maximum(sign * (one - end), 0.0) for one, end in zip(both, ends, strict=True)]
+            moved, each = ends[0] - ends[1], sign * (short[0] - short[1]) / (level if kind.lower else 1 - level)
+        else:
+            # Beside the known quantile, the error is that of the value of the same rank.
+            at = int(np.argmin(np.where(seen.predicted < self.value, np.inf, seen.predicted)))
+            below = seen.predicted < seen.predicted[at]
+            end = _quantile(seen.values, share, float(share @ below + share[at] / 2))
+            moved, each = end - seen.predicted[at], (1.0 * below - 1.0 * (seen.values < end)) / self.density(seen)
+            each -= share @ each
+            away = np.minimum(np.abs(seen.predicted - self.value), np.abs(seen.values - end))
+            near = np.where(away < _AROUND * self.reach, share, 0.0)
+            local = _standard_error(seen.values - seen.predicted, near / max(near.sum(), _TINY))
+        return float(moved + share @ each), float(np.hypot(_standard_error(each, share), local))
+
+
+def _standard_error(values: Float[np.ndarray, " n"], share: Float[np.ndarray, " n"]) -> float:
+    """That of a mean of values that have shares."""
+    return float(np.sqrt(np.sum((share * (values - share @ values)) ** 2)))
+
+
+def _quantile(values: Float[np.ndarray, " n"], share: Float[np.ndarray, " n"], level: float) -> float:
+    """The quantile of values that have shares."""
+    order = np.argsort(values)
+    return float(values[order[np.searchsorted(np.cumsum(share[order]), level).clip(max=len(order) - 1)]])
 
 
 class KnownStatistics(AbstractScopeOfInstants):
@@ -129,42 +149,54 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
             kind, one = atom.kind, atom.functionals[0]
             if not isinstance(kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
                 continue
-            functional, entry = check.functionals[one], _closest(check, which, expression, atom, gaps)
-            at = (entry[0] * check.factor, *entry[1:]) if one.is_path else entry
-            value, mean, std = (
-                float(part) for part in (check.statistics[atom][entry], functional.mean[at], functional.std[at])
-            )
-            if std <= ROUNDING * abs(mean):
-                continue  # A path may be certain at some instants, as at its start.
-            chance, is_lower = kind.tail(value)
-            tail = _Tail(kind, at, value, max(chance, _TINY), is_lower, max(abs(value - mean), std))
-            matters = partial(_matters, check, expression, atom, gaps)
-            if (atom, entry) not in known:
-                known[atom, entry] = _error(check, atom, tail, matters)
-            error, uncertainty, tolerated, count = known[atom, entry]
-            by = abs(error) + 2 * uncertainty
-            if abs(error) <= tolerated and (by <= 3 * tolerated or not matters(by)):
-                continue
-            seen = f"{value + error:.4g} ± {2 * uncertainty:.2g} by {count} systems in its tail"
-            unsure = ", too few to tell" if abs(error) <= 2 * uncertainty else ""
-            name = "" if limit is None else f"'{limit.name}': "
-            hangs = matters(by) if which else not _effect(check, expression, atom, by) <= check.gained
-            yield f"{name}{atom.text()} is {value:.4g} by the expansion, and {seen}{unsure}", hangs
+            functional, matters = check.functionals[one], partial(_matters, check, expression, atom, gaps)
+            for entry in _closest(check, which, expression, atom, gaps):
+                at = (entry[0] * check.factor, *entry[1:]) if one.is_path else entry
+                value, mean, std = (
+                    float(part) for part in (check.statistics[atom][entry], functional.mean[at], functional.std[at])
+                )
+                if std <= ROUNDING * abs(mean):
+                    continue  # A path may be certain at some instants, as at its start.
+                chance, is_lower = kind.tail(value)
+                tail = _Tail(kind, at, value, max(chance, _TINY), is_lower, max(abs(value - mean), std))
+                if (atom, entry) not in known:
+                    known[atom, entry] = _error(check, atom, tail, matters)
+                error, uncertainty, tolerated, count = known[atom, entry]
+                by = abs(error) + 2 * uncertainty
+                if abs(error) <= tolerated and (by <= 3 * tolerated or not matters(by)):
+                    continue
+                seen = f"{value + error:.4g} ± {2 * uncertainty:.2g} by {count} systems in its tail"
+                unsure = ", too few to tell" if abs(error) <= 2 * uncertainty else ""
+                name = "" if limit is None else f"'{limit.name}': "
+                hangs = matters(by) if which else not _effect(check, expression, atom, by) <= check.gained
+                yield f"{name}{atom.text()} is {value:.4g} by the expansion, and {seen}{unsure}", hangs
 
 
 def _closest(
     check: Check, which: int, expression: Expression, atom: Statistic, gaps: np.ndarray | None
-) -> tuple[int, ...]:
-    """The entry of a statistic, an instant first, for which a limit is closest to its bound; none of a number."""
+) -> Collection[tuple[int, ...]]:
+    """The entry of a statistic, an instant first, for which a limit is closest to its bound; that of a number is empty.
+
+    And that for which it would be, if the statistic followed the mean and spread of the fresh systems.
+    """
     own = check.statistics[atom].shape
     if gaps is None or not own:
-        return ()
+        return [()]
+    one = check.functionals[atom.functionals[0]].at(check.own(atom.functionals[0]))
+    away, foreseen = one.fresh - one.mean, one.predicted - one.mean
+    shift, squares = (
+        np.average(each, axis=0, weights=one.weights) for each in (away - foreseen, away**2 - foreseen**2)
+    )
+    wider = np.sqrt(np.maximum(1 + (squares - shift**2) / np.maximum(one.std, _TINY) ** 2, 0.0)) - 1
+    moved = shift + (check.statistics[atom] - one.mean) * wider
+    limit, rows = check.problem.constraints[which - 1], check.at_instants(which - 1)
+    follows = -excess_of(limit, rows + _change(check, expression, atom, moved).ravel())
     whole = np.shape(check.values[which][:: check.factor] if expression.is_path else check.values[which])
     # Inside an integral over time all instants count.
     is_inside = len(own) > len(whole)
     places = np.arange(int(np.prod(own))).reshape(own)
-    place = 0 if is_inside else np.broadcast_to(places, whole).flat[int(np.argmin(gaps))]
-    return tuple(int(i) for i in np.unravel_index(place, own))
+    chosen = [0 if is_inside else np.broadcast_to(places, whole).flat[int(np.argmin(each))] for each in (gaps, follows)]
+    return dict.fromkeys(tuple(int(i) for i in np.unravel_index(place, own)) for place in chosen)
 
 
 def _matters(check: Check, expression: Expression, atom: Statistic, gaps: np.ndarray | None, by: float) -> bool:
@@ -193,23 +225,26 @@ def _error(
         new = own.functionals[functional]
         parts = new.fresh[of], new.predicted[of], own.systems.weights
         seen = _Seen(*map(np.concatenate, zip(seen, parts, strict=True)))
-        each, share, tolerated = tail.differences(seen), seen.weights / seen.weights.sum(), tail.tolerated(seen)
-        error = float(share @ each)
-        uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))
-        is_clear = len(each) >= _FIRST and abs(abs(error) - tolerated) > 2 * uncertainty
+        (error, uncertainty), tolerated, drawn = tail.error(seen), tail.tolerated(seen), len(seen.values)
+        is_clear = drawn >= _FIRST and abs(abs(error) - tolerated) > 2 * uncertainty
         is_harmless = not matters(abs(error) + 2 * uncertainty)
-        if is_clear or is_harmless or len(each) >= _LAST or not np.isfinite(error):
+        if is_clear or is_harmless or drawn >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
             value, half = tail.kind.estimated(np.asarray(coefficients), lines)
             whole = error + float(value) - tail.value
-            return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, len(each)
-        least = max(4 * len(each), _FIRST)
+            return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, drawn
+        least = max(4 * drawn, _FIRST)
 
 
-def _effect(check: Check, expression: Expression, moved: Statistic, by: float) -> float:
-    """How much an expression changes with one of its statistics."""
+def _effect(check: Check, expression: Expression, atom: Statistic, by: float) -> float:
+    """How much an expression changes at most with one of its statistics."""
+    return float(np.max(np.abs(_change(check, expression, atom, by))))
+
+
+def _change(check: Check, expression: Expression, moved: Statistic, by: float | np.ndarray) -> np.ndarray:
+    """How an expression changes with one of its statistics."""
     own = check.statistics.items()
-    known = {atom: np.stack([value, value + by * (atom == moved)], axis=-1) for atom, value in own}
+    known = {atom: np.stack([value, value + by if atom == moved else value], axis=-1) for atom, value in own}
     values = np.asarray(expression.evaluate(KnownStatistics(check, known)))
-    return float(np.max(np.abs(values[..., 1] - values[..., 0])))
+    return values[..., 1] - values[..., 0]
