@@ -201,15 +201,28 @@ class TwoHumps(al.System):
         return {"y": self.size * humps}
 
 
+def largest_humps(limit):
+    model = TwoHumps(al.Decision(1.0, 0.1, 5.0), al.Normal(0.0, 1.0))
+    parts = {"minimize": -al.value("size"), "subject_to": [limit], "expansion": al.Expansion(3, tolerance=0.9)}
+    return al.solve(al.Problem(model, grid=al.Grid(4.0, 40), **parts), throw=False)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+def test_tails_inside_an_integral_are_looked_into_where_they_would_change_most():
+    solution = largest_humps(al.time_integral(al.path("y").quantile(0.95)) <= 2.0)
+    # At its first instant, far from both humps, the expansion is right.
+    assert "Q0.95[y(t)]" in solution.certificate.opinion.broken
+    assert not solution.ok
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
 @pytest.mark.parametrize(
     "limit", [al.path("y").at_most(2.0, probability=0.95), al.path("y").conditional_value_at_risk(0.9) <= 2.0]
 )
 def test_tails_are_looked_into_wherever_mean_and_spread_let_a_limit_break(limit):
-    model = TwoHumps(al.Decision(1.0, 0.1, 5.0), al.Normal(0.0, 1.0))
-    parts = {"minimize": -al.value("size"), "subject_to": [limit], "expansion": al.Expansion(3, tolerance=0.9)}
-    solution = al.solve(al.Problem(model, grid=al.Grid(4.0, 40), **parts), throw=False)
+    solution = largest_humps(limit)
     u = U(np.linspace(0.0, 1.0, 10**5 + 2)[1:-1])
     second = np.sort(float(solution.decisions["size"]) * 1.05 * (1 + 0.1 * u + 0.25 * np.cos(4 * u)))
     assert second[95 * len(second) // 100] > 2.05

@@ -231,8 +231,11 @@ class _Judged(NamedTuple):
 
 
 def _of_objective(check: Check, shifts: "_Shifts") -> _Judged:
-    tolerated = max(check.gained, _BREAKS * float(shifts.scale[0]))
-    is_broken = shifts.beyond(shifts.scale)[0] > 1 and not abs(shifts.by[0]) <= tolerated
+    tolerated, is_moved = _BREAKS * float(shifts.scale[0]), shifts.beyond(shifts.scale)[0] > 1
+    if not (is_moved or shifts.sure[0] > tolerated):
+        return _Judged(0, "", False)
+    tolerated = max(check.gained, tolerated)
+    is_broken = is_moved and not abs(shifts.by[0]) <= tolerated
     said = f"the objective differs by {shifts.text(0)}, more than was gained ({check.gained:.3g})"
     return _Judged(0, said if is_broken else "", bool(shifts.sure[0] > tolerated))
 

@@ -7,6 +7,7 @@ and are weighted by the ratio of the densities (importance sampling). The differ
 simulated and that of what the expansion predicts of the same systems corrects the expansion's own (a control variate).
 """
 
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -147,10 +148,10 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
         gaps = None if limit is None else -excess_of(limit, check.at_instants(which - 1))
         for atom in statistics_in((expression,)):
             kind, one = atom.kind, atom.functionals[0]
-            if not isinstance(kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
+            if not isinstance(kind, AbstractTail) or one.text() not in varying:
                 continue
             functional, matters = check.functionals[one], partial(_matters, check, expression, atom, gaps)
-            for entry in _closest(check, which, expression, atom, gaps):
+            for entry in _entries(check, which, expression, atom, gaps):
                 at = (entry[0] * check.factor, *entry[1:]) if one.is_path else entry
                 value, mean, std = (
                     float(part) for part in (check.statistics[atom][entry], functional.mean[at], functional.std[at])
@@ -172,31 +173,32 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
                 yield f"{name}{atom.text()} is {value:.4g} by the expansion, and {seen}{unsure}", hangs
 
 
-def _closest(
+def _entries(
     check: Check, which: int, expression: Expression, atom: Statistic, gaps: np.ndarray | None
 ) -> Collection[tuple[int, ...]]:
-    """The entry of a statistic, an instant first, for which a limit is closest to its bound; that of a number is empty.
+    """The entries of a statistic, an instant first, that systems are drawn for; that of a number is empty.
 
-    And that for which it would be, if the statistic followed the mean and spread of the fresh systems.
+    For a limit, those for which it is closest to its bound, and for which it would be if the statistic followed the
+    mean and spread of the fresh systems; for what all instants count in, that which would change most.
     """
     own = check.statistics[atom].shape
-    if gaps is None or not own:
+    if not own:
         return [()]
     one = check.functionals[atom.functionals[0]].at(check.own(atom.functionals[0]))
     away, foreseen = one.fresh - one.mean, one.predicted - one.mean
-    shift, squares = (
-        np.average(each, axis=0, weights=one.weights) for each in (away - foreseen, away**2 - foreseen**2)
-    )
-    wider = np.sqrt(np.maximum(1 + (squares - shift**2) / np.maximum(one.std, _TINY) ** 2, 0.0)) - 1
+    missed = away - foreseen, away**2 - foreseen**2
+    shift, squares = (np.average(each, axis=0, weights=one.weights) for each in missed)
+    wider = np.sqrt(np.maximum(1 + (squares - shift**2) / np.maximum(one.std**2, _TINY), 0.0)) - 1
     moved = shift + (check.statistics[atom] - one.mean) * wider
-    limit, rows = check.problem.constraints[which - 1], check.at_instants(which - 1)
-    follows = -excess_of(limit, rows + _change(check, expression, atom, moved).ravel())
     whole = np.shape(check.values[which][:: check.factor] if expression.is_path else check.values[which])
-    # Inside an integral over time all instants count.
-    is_inside = len(own) > len(whole)
-    places = np.arange(int(np.prod(own))).reshape(own)
-    chosen = [0 if is_inside else np.broadcast_to(places, whole).flat[int(np.argmin(each))] for each in (gaps, follows)]
-    return dict.fromkeys(tuple(int(i) for i in np.unravel_index(place, own)) for place in chosen)
+    if gaps is None or len(own) > len(whole):
+        chosen = {int(np.argmax(np.abs(moved)))}
+    else:
+        limit, rows = check.problem.constraints[which - 1], check.at_instants(which - 1)
+        follows = -excess_of(limit, rows + _change(check, expression, atom, moved).ravel())
+        places = np.broadcast_to(np.arange(math.prod(own)).reshape(own), whole).ravel()
+        chosen = {int(places[np.argmin(each)]) for each in (gaps, follows)}
+    return [tuple(map(int, np.unravel_index(place, own))) for place in sorted(chosen)]
 
 
 def _matters(check: Check, expression: Expression, atom: Statistic, gaps: np.ndarray | None, by: float) -> bool:

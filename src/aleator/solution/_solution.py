@@ -312,7 +312,7 @@ class Solution(Drawn):
         if self.ok:
             return "The problem is solved."
         if self.objection is not None:
-            reason = f"{self.objection.sentence.rstrip('.')}. {self.message}".strip()
+            reason = f"{self.objection.sentence.rstrip('.')}."
         else:
             worst_case, misled = self.certificate.worst_case, self.certificate.misled
             # The systems that break limits on the worst case, by the texts of these.
