@@ -123,6 +123,21 @@ def test_density_and_cdf_are_those_of_the_distribution_and_of_each_entry():
         assert density[:, k] == pytest.approx(distribution.pdf(values), abs=1e-6)
 
 
+def test_along_a_path_the_distance_from_the_mean_is_interpolated_in_standard_deviations():
+    # A spread that begins at zero, and a skew shape.
+    basis, t = basis_of([HermiteGerm()], 2), np.linspace(0.0, np.pi, 8 * 30 + 1)
+    shape = np.asarray(coefficients_of_polynomial(basis, lambda a: a + 0.2 * a**2))
+    path = np.outer(shape, np.sin(t)) + np.outer(np.eye(len(shape))[0], np.cos(t))
+    z = stats.norm.ppf(0.99)
+    lines, exact = lines_through(basis), np.cos(t) + np.sin(t) * (z + 0.2 * z**2)
+    found = Quantile(0.99).along(np.stack([path, path], axis=-1), lines, 8)
+    near = exact > exact.max() - 0.4
+    assert found[near, 1] == pytest.approx(exact[near], abs=1e-6)
+    assert found[:9, 0] == pytest.approx(exact[:9], abs=0.02)
+    lost = np.where(np.arange(len(t)) == 100, np.nan, path)
+    assert np.flatnonzero(np.isnan(Quantile(0.99).along(lost, lines, 8))).tolist() == [100]
+
+
 def test_without_uncertain_variables_the_output_is_its_own_quantile():
     basis = Basis({}, np.zeros((1, 0), dtype=int))
     assert value(Quantile(0.9), jnp.array([2.0]), basis) == 2.0

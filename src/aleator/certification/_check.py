@@ -27,8 +27,17 @@ from aleator.design import (
     statistics_in,
 )
 from aleator.dynamics import AbstractIntegrator, Grid, Rodas5P
-from aleator.statistics import Mean, Std, Variance
-from aleator.transcription import AbstractTranscribed, ExpansionScope, Meaning, Terms, bound_size, excess_of, scope_from
+from aleator.statistics import AbstractAtLevel, Mean, Std, Variance
+from aleator.transcription import (
+    AbstractTranscribed,
+    ExpansionScope,
+    Meaning,
+    Terms,
+    bound_size,
+    excess_of,
+    scope_from,
+    tails_in,
+)
 
 # Rounding as a part of the magnitude of an output and of a constraint, and integration error as a part of an output's.
 _ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
@@ -325,7 +334,13 @@ def _expanded(
         )
         for one, own in zip(functionals, terms.coefficients, strict=True)
     }
-    return checked, scope_from(problem, functionals, terms, transcribed.constants, decisions)
+    scope = scope_from(problem, functionals, terms, transcribed.constants, decisions)
+    for one in tails_in(transcribed.problem.expressions):
+        if one.is_path and isinstance(one.kind, AbstractAtLevel):
+            # At all instants they would take longer than all the rest.
+            own, lines = np.asarray(scope.coefficients[one.functionals[0]]), scope.constants.of(one.kind)
+            scope.know((one,), (one.kind.along(own, lines, factor),))
+    return checked, scope
 
 
 def _departed(check: Check) -> str:

@@ -26,6 +26,7 @@ from aleator.statistics._statistic import Variance as Variance
 from aleator.statistics._statistic import a_statistic as a_statistic
 from aleator.statistics._statistic import root as root
 from aleator.statistics._statistic import varies as varies
+from aleator.statistics._tails import AbstractAtLevel as AbstractAtLevel
 from aleator.statistics._tails import AbstractTail as AbstractTail
 from aleator.statistics._tails import ConditionalValueAtRisk as ConditionalValueAtRisk
 from aleator.statistics._tails import Probability as Probability

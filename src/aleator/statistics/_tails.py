@@ -36,6 +36,8 @@ from aleator.statistics._statistic import AbstractStatistic, level_given, number
 
 # A spread that is no more than this part of a distance counts as none.
 _NO_SPREAD = 1e-12
+# Below this part of the largest spread along a path, what is away from the mean is rounding.
+_FLAT = 1e-6
 
 
 class AbstractTail(AbstractStatistic):
@@ -85,6 +87,29 @@ class AbstractAtLevel(AbstractTail):
     level: Scalar
 
     speaks_of_one_system: ClassVar[bool] = True
+
+    @quietly
+    def along(
+        self, coefficients: Float[np.ndarray, "terms instants *shape"], constants: AnyLines, every: int
+    ) -> Float[np.ndarray, "instants *shape"]:
+        """The statistic along a path, sought at every so many instants alone, the first and the last among these.
+
+        In between, how many standard deviations it is away from the mean is interpolated, which changes as slowly as
+        the shape of the distribution.
+        """
+        count, *shape = coefficients.shape[1:]
+        mean, std = (
+            one.reshape(count, -1) for one in (coefficients[0], np.sqrt(np.sum(coefficients[1:] ** 2, axis=0)))
+        )
+        known = sloped(self, coefficients[:, ::every], constants).values.reshape(-1, mean.shape[1])
+        varies = std[::every] > _FLAT * np.nanmax(std, axis=0, initial=0.0)
+        away = (known - mean[::every]) / np.where(varies, std[::every], 1.0)
+        place, own = np.arange(count) / every, np.arange(len(known))
+        between = [
+            np.interp(place, own[some], one[some]) if some.any() else 0 * place
+            for some, one in zip(varies.T, away.T, strict=True)
+        ]
+        return (mean + np.stack(between, axis=1) * std).reshape(count, *shape)
 
     @override
     def tail(self, value: float) -> tuple[float, bool]:

@@ -20,6 +20,7 @@ from ._expansions import ExpansionScope as ExpansionScope
 from ._expansions import Resolved as Resolved
 from ._expansions import Terms as Terms
 from ._expansions import scope_from as scope_from
+from ._expansions import tails_in as tails_in
 from ._transcribe import DEFAULT as DEFAULT
 from ._transcribe import transcribe as transcribe
 from ._warm_start import started_from as started_from

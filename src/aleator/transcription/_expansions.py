@@ -80,6 +80,10 @@ class ExpansionScope(AbstractScope):
             taken.append(tuple(self.taken[before:]))
         return tuple(blocks), tuple(taken)
 
+    def know(self, atoms: tuple[Statistic, ...], values: tuple[Float[Any, "..."], ...]) -> None:
+        """Keep the values of some statistics, the first of these or all, for expressions that these stand in."""
+        self.known.update(zip(map(_which, atoms), values, strict=False))
+
     def _take_together(self, expressions: tuple[Expression, ...]) -> None:
         """Take those statistics of expressions now that share an equation."""
         every = (atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic))
@@ -238,14 +242,15 @@ def scope_from(
     """The scope of expressions whose functionals have been simulated."""
     nodes = dict(zip(_integrated(problem, functionals), terms.nodes, strict=True))
     grid = grid_at(problem, decisions) if nodes else None
-    return ExpansionScope(
+    scope = ExpansionScope(
         dict(zip(functionals, terms.coefficients, strict=True)),
         constants,
         cache(partial(named_numbers, problem.simulation, decisions)),
         Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None,
         dict(zip(functionals, terms.realised, strict=False)),
-        known=dict(zip(map(_which, tails_in(problem.expressions)), terms.tails, strict=False)),
     )
+    scope.know(tails_in(problem.expressions), terms.tails)
+    return scope
 
 
 def _integrated(problem: Problem, functionals: tuple[AbstractFunctional, ...]) -> tuple[AbstractFunctional, ...]:
