@@ -230,6 +230,18 @@ def test_tails_are_looked_into_wherever_mean_and_spread_let_a_limit_break(limit)
     assert "systems in its tail" in solution.certificate.opinion.broken
 
 
+@pytest.mark.slow
+def test_a_quantile_whose_lines_scatter_is_confirmed_by_many_predictions():
+    """Six products of neighbours in a ring: the replicates of lines scatter by ten times of what they are off."""
+    ring = algebraic(lambda off, x: {"s": off + sum(x[i] * x[i - 1] for i in range(6))})
+    model = ring(al.Decision(0.0, -50.0, 50.0), tuple(al.Normal(0.0, 1.0) for _ in range(6)))
+    limit = al.output("s").at_most(0.0, probability=0.9)
+    solution = al.solve(al.Problem(model, minimize=-al.value("off"), subject_to=[limit], expansion=al.Expansion(2)))
+    x = np.random.default_rng(0).normal(size=(6, 10**6))
+    exact = np.quantile(np.sum(x * np.roll(x, 1, axis=0), axis=0), 0.9)
+    assert float(solution.decisions["off"]) == pytest.approx(-exact, abs=0.03)
+
+
 # --- Limits on skewness and kurtosis ----------------------------------------------------------------------------------
 
 

@@ -123,6 +123,18 @@ def test_density_and_cdf_are_those_of_the_distribution_and_of_each_entry():
         assert density[:, k] == pytest.approx(distribution.pdf(values), abs=1e-6)
 
 
+def test_of_equal_directions_rounding_chooses_none():
+    """A shift moves the last digits of all coefficients, and a quantile by itself alone, else no search ends."""
+    basis = basis_of([HermiteGerm()] * 4, 2)
+    shifts = np.linspace(-16.0, 16.0, 9)
+    rows = [
+        coefficients_of_polynomial(basis, lambda a, b, c, d, by=by: by + a**2 + b**2 + c**2 + d**2) for by in shifts
+    ]
+    moved = np.array([float(value(Quantile(0.99), one, basis)) for one in rows]) - shifts
+    assert moved == pytest.approx(stats.chi2(4).ppf(0.99), abs=0.05)
+    assert np.ptp(moved) < 1e-9
+
+
 def test_along_a_path_the_distance_from_the_mean_is_interpolated_in_standard_deviations():
     # A spread that begins at zero, and a skew shape.
     basis, t = basis_of([HermiteGerm()], 2), np.linspace(0.0, np.pi, 8 * 30 + 1)

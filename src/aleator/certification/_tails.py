@@ -38,6 +38,8 @@ _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
 # Fresh systems in a tail: so many at first, unless the first draw shows that a limit cannot hang on them, and so many
 # at most, four times as many each time.
 _FIRST, _LAST = 128, 2048
+# So many are predicted alone, by a draw of their own, where the integral over the expansion is in doubt.
+_MANY, _DRAW = 2**14, 10**6
 # How far around a quantile its density is taken, as a part of its distance from the mean.
 _AROUND = 0.1
 _TINY = np.finfo(float).tiny
@@ -103,6 +105,19 @@ class _Tail(NamedTuple):
             local = _standard_error(seen.values - seen.predicted, near / max(near.sum(), _TINY))
         return float(moved + share @ each), float(np.hypot(_standard_error(each, share), local))
 
+    def scatter(self, seen: _Seen) -> tuple[float, float]:
+        """How far the statistic is from that of systems as predicted, by chance alone, and the standard error."""
+        kind, share, values = self.kind, seen.weights / seen.weights.sum(), seen.predicted
+        if isinstance(kind, Probability):
+            each = np.asarray(kind.holds(values, is_rounded=True), float) - self.value
+        elif isinstance(kind, ConditionalValueAtRisk):
+            level, sign = float(kind.level), -1.0 if kind.lower else 1.0
+            end, chance = _quantile(values, share, level), level if kind.lower else 1 - level
+            each = end + sign * np.maximum(sign * (values - end), 0.0) / chance - self.value
+        else:
+            each = ((values < self.value) - float(kind.level)) / self.density(seen)
+        return float(share @ each), _standard_error(each, share)
+
 
 def _standard_error(values: Float[np.ndarray, " n"], share: Float[np.ndarray, " n"]) -> float:
     """That of a mean of values that have shares."""
@@ -162,12 +177,14 @@ def tail_objections(check: Check, varying: Collection[str]) -> Iterator[tuple[st
                 tail = _Tail(kind, at, value, max(chance, _TINY), is_lower, max(abs(value - mean), std))
                 if (atom, entry) not in known:
                     known[atom, entry] = _error(check, atom, tail, matters)
-                error, uncertainty, tolerated, count = known[atom, entry]
+                error, uncertainty, tolerated, count, half = known[atom, entry]
                 by = abs(error) + 2 * uncertainty
                 if abs(error) <= tolerated and (by <= 3 * tolerated or not matters(by)):
                     continue
                 seen = f"{value + error:.4g} ± {2 * uncertainty:.2g} by {count} systems in its tail"
                 unsure = ", too few to tell" if abs(error) <= 2 * uncertainty else ""
+                if half > uncertainty:
+                    unsure = f", of which ± {half:.2g} is how well its integral over the expansion is known"
                 name = "" if limit is None else f"'{limit.name}': "
                 hangs = matters(by) if which else not _effect(check, expression, atom, by) <= check.gained
                 yield f"{name}{atom.text()} is {value:.4g} by the expansion, and {seen}{unsure}", hangs
@@ -211,8 +228,9 @@ def _matters(check: Check, expression: Expression, atom: Statistic, gaps: np.nda
 
 def _error(
     check: Check, atom: Statistic, tail: _Tail, matters: Callable[[float], bool]
-) -> tuple[float, float, float, int]:
-    """The error of a statistic by fresh systems in its tail, its standard error, what is tolerated, and their number.
+) -> tuple[float, float, float, int, float]:
+    """The error of a statistic by fresh systems in its tail, its standard error, what is tolerated, their number, and
+    the 95 % half-width of the statistic's integral over the expansion.
 
     `matters`: whether the answer may hang on an error, below which no more systems are drawn.
     """
@@ -233,9 +251,14 @@ def _error(
         if is_clear or is_harmless or drawn >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
-            value, half = tail.kind.estimated(np.asarray(coefficients), lines)
-            whole = error + float(value) - tail.value
-            return whole, float(np.hypot(uncertainty, float(half) / 2)), tolerated, drawn
+            value, half = map(float, tail.kind.estimated(np.asarray(coefficients), lines))
+            if half > tolerated:  # The scatter of a few replicates overstates it.
+                points, weights = points_in_tail(proposal, basis, _MANY, _DRAW)
+                predicted = basis.matrix(points) @ np.asarray(coefficients)
+                away, scatter = tail.scatter(_Seen(predicted, predicted, weights))
+                half = min(half, abs(away) + 2 * scatter)
+            whole = error + value - tail.value
+            return whole, float(np.hypot(uncertainty, half / 2)), tolerated, drawn, half
         least = max(4 * drawn, _FIRST)
 
 

@@ -40,8 +40,9 @@ _DESCENTS, _STARTS = 12, 64
 _APART = 0.7  # cosine between minima that are told apart
 # The step of derivatives by imaginary parts, which lose no digits.
 _IMAGINARY = 1e-30
-# Terms below this part of an output's spread are the rounding of its coefficients.
-_NO_PART = 1e-12
+# Terms below this part of an output's spread are the rounding of its coefficients; values that differ by less than this
+# part of it are equal.
+_NO_PART, _EQUAL = 1e-12, 1e-6
 # Directions are rounded to this, so that lines rest in the last steps of a search for an optimum, and values follow
 # their derivatives there, in which lines rest. A step of the directions changes the error of an integral alone, by
 # about a thousandth of itself.
@@ -167,7 +168,9 @@ class Lines(Module):
     def minima(self, coefficients: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "variables minima"]:
         """Directions in which the expansion is smallest at some distance, the best one first."""
         starts = np.asarray(self.starts)
-        left, chosen = coefficients @ np.asarray(self.at_starts), []
+        # Of equal values rounding would choose one, and jump from one design to the next.
+        size = _EQUAL * np.linalg.norm(coefficients) or 1.0
+        left, chosen = np.round(coefficients @ np.asarray(self.at_starts) / size), []
         for _ in range(MINIMA):
             chosen.append(starts[:, np.argmin(left)])
             left = np.where(chosen[-1] @ starts > _APART, np.inf, left)
@@ -178,7 +181,7 @@ class Lines(Module):
             moved = (_SEARCHED * (minima[:, None] + steps)).reshape(variables, -1)
             heights = (coefficients @ self.terms(moved)).reshape(variables, MINIMA)
             minima, values = unit(minima - unit(np.imag(heights) / _IMAGINARY)), np.real(heights[0])
-        return minima[:, np.argsort(values, kind="stable")]
+        return minima[:, np.argsort(np.round(values / size), kind="stable")]
 
     def axis(self, coefficients: Float[np.ndarray, " terms"]) -> Float[np.ndarray, "variables 1"]:
         """That of the variable in which the expansion has the largest linear part, in the sense in which it falls."""
