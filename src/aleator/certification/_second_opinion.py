@@ -214,9 +214,8 @@ def _judged(fresh: Mapping[str, Checked], check: Check, chance: float) -> tuple[
         worst, is_told = shifts.worst(shifts.scale.max())
         if is_told or judged.broken:
             text = shifts.text(judged.entry if judged.broken else worst)
-            follows = (
-                ", if its ends follow their mean and spread" if any(isinstance(x, _AT_ENDS) for x in kinds) else ""
-            )
+            has_ends = any(isinstance(kind, _AT_ENDS) for kind in kinds)
+            follows = ", if its ends follow their mean and spread" if has_ends else ""
             sentences.append(f"{expression} differs by {text} in fresh simulations{follows}")
         broken, is_unsure = broken or judged.broken, is_unsure or judged.is_unsure
     return sentences, broken, is_unsure

@@ -89,10 +89,8 @@ class _Tail(NamedTuple):
             inside = [np.asarray(kind.holds(one, is_rounded=True), float) for one in both]
             each = inside[0] - inside[1]
         elif isinstance(kind, ConditionalValueAtRisk):
-            level, sign = float(kind.level), -1.0 if kind.lower else 1.0
-            ends = [_quantile(one, share, level) for one in both]
-            short = [np.maximum(sign * (one - end), 0.0) for one, end in zip(both, ends, strict=True)]
-            moved, each = ends[0] - ends[1], sign * (short[0] - short[1]) / (level if kind.lower else 1 - level)
+            simulated, predicted = (_beyond(kind, one, share) for one in both)
+            each = simulated - predicted
         else:
             # Beside the known quantile, the error is that of the value of the same rank.
             at = int(np.argmin(np.where(seen.predicted < self.value, np.inf, seen.predicted)))
@@ -111,12 +109,19 @@ class _Tail(NamedTuple):
         if isinstance(kind, Probability):
             each = np.asarray(kind.holds(values, is_rounded=True), float) - self.value
         elif isinstance(kind, ConditionalValueAtRisk):
-            level, sign = float(kind.level), -1.0 if kind.lower else 1.0
-            end, chance = _quantile(values, share, level), level if kind.lower else 1 - level
-            each = end + sign * np.maximum(sign * (values - end), 0.0) / chance - self.value
+            each = _beyond(kind, values, share) - self.value
         else:
             each = ((values < self.value) - float(kind.level)) / self.density(seen)
         return float(share @ each), _standard_error(each, share)
+
+
+def _beyond(
+    kind: ConditionalValueAtRisk, values: Float[np.ndarray, " n"], share: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Numbers whose mean is that of the values beyond their quantile."""
+    level, sign = float(kind.level), -1.0 if kind.lower else 1.0
+    end, chance = _quantile(values, share, level), level if kind.lower else 1 - level
+    return end + sign * np.maximum(sign * (values - end), 0.0) / chance
 
 
 def _standard_error(values: Float[np.ndarray, " n"], share: Float[np.ndarray, " n"]) -> float:
